@@ -1,0 +1,60 @@
+"""The errors of congelation.
+
+    CongelationError
+    ├── InvalidInput (also a ValueError)   something the user wrote is wrong
+    │   └── InfeasibleDesign               the gains asked for do not exist
+    └── SlaveError                         an FMU refused a call
+
+Numerical outcomes (a diverging run, a step that cannot be made accurate) are statuses of a
+result, not exceptions.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+__all__ = ["CongelationError", "InfeasibleDesign", "InvalidInput", "SlaveError", "nearest"]
+
+
+class CongelationError(Exception):
+    """Base of every error that congelation raises on purpose."""
+
+
+class InvalidInput(CongelationError, ValueError):
+    """Something the user wrote is wrong; the text says what, where, and what would be valid."""
+
+
+class InfeasibleDesign(InvalidInput):
+    """The gains asked for do not exist; the text names the nearest ones that do."""
+
+
+class SlaveError(CongelationError):
+    """An FMU refused a call.
+
+    Parameters
+    ----------
+    component : str
+        Name of the component in the system.
+    time : float
+        Communication point at which it happened, in seconds.
+    message : str
+        The FMU's own logged message, or the call and the status it returned.
+    """
+
+    def __init__(self, component: str, time: float, message: str) -> None:
+        super().__init__(f"{component} at t = {time:.9g}: {message}")
+        self.component = component
+        self.time = time
+        self.message = message
+
+
+def nearest(name: str, valid: Iterable[str]) -> str:
+    """A clause naming the valid spelling nearest to `name`, or all of them where few exist."""
+    names = list(valid)
+    close = difflib.get_close_matches(name, names, n=1, cutoff=0.4)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    if 0 < len(names) <= 12:
+        return "valid: " + ", ".join(names)
+    return f"none of the {len(names)} valid names is near"

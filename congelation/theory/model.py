@@ -1,0 +1,237 @@
+"""A plant or a controller as one symbolic block: x' = f(x, u, theta, p), y = h(x, u, p).
+
+Everything the theory derives ends in a `Model`; everything that uses the theory (the FMU
+export, the monolithic solution, the certificate, the tests) starts from one.
+"""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import casadi as ca
+import numpy as np
+
+__all__ = [
+    "Domain",
+    "Gain",
+    "Input",
+    "Model",
+    "Output",
+    "Parameter",
+    "State",
+    "Variables",
+    "matrix",
+    "scalar",
+    "vector",
+]
+
+
+class Domain(enum.Enum):
+    """The values that a parameter may take; the value is the phrase used in messages."""
+
+    REAL = "finite"
+    POSITIVE = "positive"
+    NONNEGATIVE = "non-negative"
+    POSITIVE_DEFINITE = "a symmetric positive definite matrix"
+    BOOLEAN = "true or false"
+    SIGN = "+1 or -1"
+
+
+@dataclass(frozen=True)
+class Variables:
+    """A named scalar, column vector or matrix of symbols.
+
+    Parameters
+    ----------
+    name : str
+        The symbol of the paper, spelt out: ``x``, ``theta_hat``, ``Gamma``.
+    symbol : casadi.SX
+        Shape (1, 1), (n, 1) or (n, m).
+    description : str
+        One line: what it is, with the number of its equation.
+    unit : str or tuple of str
+        One unit for all elements, or one each (row by row). Empty: dimensionless.
+    indexed : bool
+        False names a 1 x 1 symbol ``u``; True names its elements ``x[1]``, ``Gamma[1,2]``.
+    """
+
+    name: str
+    symbol: ca.SX
+    description: str
+    unit: str | tuple[str, ...] = ""
+    indexed: bool = True
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        rows, columns = self.symbol.shape
+        return int(rows), int(columns)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Element names, row by row, counted from 1 as in the paper."""
+        rows, columns = self.shape
+        if not self.indexed:
+            return (self.name,)
+        if columns == 1:
+            return tuple(f"{self.name}[{i + 1}]" for i in range(rows))
+        return tuple(f"{self.name}[{i + 1},{j + 1}]" for i in range(rows) for j in range(columns))
+
+    @property
+    def elements(self) -> tuple[ca.SX, ...]:
+        """Element symbols, in the order of `names`."""
+        rows, columns = self.shape
+        return tuple(self.symbol[i, j] for i in range(rows) for j in range(columns))
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """One unit per element, in the order of `names`."""
+        return (self.unit,) * len(self.names) if isinstance(self.unit, str) else self.unit
+
+
+def scalar(name: str, description: str, unit: str = "") -> Variables:
+    """A scalar variable, named without an index."""
+    return Variables(name, ca.SX.sym(name), description, unit, indexed=False)
+
+
+def vector(name: str, n: int, description: str, unit: str | tuple[str, ...] = "") -> Variables:
+    """A column vector of n variables ``name[1] .. name[n]``."""
+    return Variables(name, ca.SX.sym(name, n), description, unit)
+
+
+def matrix(
+    name: str, n: int, m: int, description: str, unit: str | tuple[str, ...] = ""
+) -> Variables:
+    """An n x m matrix of variables ``name[1,1] .. name[n,m]``."""
+    symbol = ca.vertcat(
+        *(ca.horzcat(*(ca.SX.sym(f"{name}_{i}_{j}") for j in range(m))) for i in range(n))
+    )
+    return Variables(name, symbol, description, unit)
+
+
+@dataclass(frozen=True)
+class Input:
+    """An input and the symbol of its time derivative, which the co-simulation may supply."""
+
+    variables: Variables
+    derivative: ca.SX
+
+    @classmethod
+    def of(cls, variables: Variables) -> Input:
+        return cls(variables, ca.SX.sym(f"der_{variables.name}", *variables.shape))
+
+
+@dataclass(frozen=True)
+class State:
+    """A state, its rate of change, and the default of its start value ``<name>0``."""
+
+    variables: Variables
+    rate: ca.SX
+    start: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A constant that the user sets: default (row by row) and the values allowed."""
+
+    variables: Variables
+    default: tuple[float, ...]
+    domain: Domain = Domain.REAL
+
+
+@dataclass(frozen=True)
+class Gain:
+    """A constant computed from parameters by a numerical rule, e.g. a Riccati equation.
+
+    Parameters
+    ----------
+    rule : str
+        Name of the rule, one of ``congelation.theory.gains.RULES``.
+    arguments : tuple of str
+        Names of the parameters that the rule takes, in its order.
+    constants : mapping
+        Fixed data of the rule (orders, matrices as nested tuples).
+    """
+
+    variables: Variables
+    rule: str
+    arguments: tuple[str, ...]
+    constants: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Output:
+    """An output y = h(..); `differentiated` adds its exact time derivative ``der(name)``.
+
+    `variables.symbol` holds the expression itself.
+    """
+
+    variables: Variables
+    differentiated: bool = False
+
+
+@dataclass(frozen=True)
+class Model:
+    """A plant or controller.
+
+    `theta` holds the unknown parameters theta(t) of a plant and is None for a controller.
+    """
+
+    name: str
+    description: str
+    inputs: tuple[Input, ...]
+    states: tuple[State, ...]
+    parameters: tuple[Parameter, ...]
+    outputs: tuple[Output, ...]
+    gains: tuple[Gain, ...] = ()
+    theta: Variables | None = None
+
+    def total_derivative(self, expression: ca.SX) -> ca.SX:
+        """d/dt of an expression in the states and inputs, by the chain rule."""
+        rate = ca.SX.zeros(*expression.shape)
+        for state in self.states:
+            rate += ca.jtimes(expression, _column(state.variables.symbol), _column(state.rate))
+        for entry in self.inputs:
+            rate += ca.jtimes(
+                expression, _column(entry.variables.symbol), _column(entry.derivative)
+            )
+        return rate
+
+    def output(self, name: str) -> ca.SX:
+        """The expression of the output `name`."""
+        return next(y.variables.symbol for y in self.outputs if y.variables.name == name)
+
+    def arguments(self) -> dict[str, ca.SX]:
+        """Every free symbol by name: states, inputs, ``der(input)``, theta, parameters, gains."""
+        named = {s.variables.name: s.variables.symbol for s in self.states}
+        named |= {i.variables.name: i.variables.symbol for i in self.inputs}
+        named |= {f"der({i.variables.name})": i.derivative for i in self.inputs}
+        if self.theta is not None:
+            named[self.theta.name] = self.theta.symbol
+        named |= {p.variables.name: p.variables.symbol for p in self.parameters}
+        named |= {g.variables.name: g.variables.symbol for g in self.gains}
+        return named
+
+    def defaults(self) -> dict[str, np.ndarray]:
+        """The default of every parameter, in its shape."""
+        return {
+            p.variables.name: np.array(p.default, dtype=float).reshape(p.variables.shape)
+            for p in self.parameters
+        }
+
+    def evaluate(
+        self, expressions: Sequence[ca.SX], values: Mapping[str, object]
+    ) -> list[np.ndarray]:
+        """The numbers of `expressions` where every symbol in `arguments` has a value, or 0."""
+        named = self.arguments()
+        function = ca.Function("evaluate", list(named.values()), list(expressions))
+        numbers = [
+            np.asarray(values.get(name, np.zeros(s.shape)), float).reshape(s.shape)
+            for name, s in named.items()
+        ]
+        return [np.asarray(v) for v in function.call([ca.DM(x) for x in numbers])]
+
+
+def _column(symbol: ca.SX) -> ca.SX:
+    return ca.vec(symbol)
