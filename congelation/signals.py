@@ -283,7 +283,10 @@ class Square(_ScalarTerm):
         """The half period at `t`."""
         turns, shift = 2.0 * (t / self.period), self.phase / pi
         if not abs(turns) + abs(shift) < MAX_HALF_PERIODS:
-            raise ProfileError(f"square.period = {self.period!r}: too short for t = {t!r}")
+            raise ProfileError(
+                f"square.period = {self.period!r}, square.phase = {self.phase!r}: the jumps near "
+                f"t = {t!r} are too close, or too far from the first, for double precision"
+            )
         k = floor(turns + shift)
         # The quotient is rounded, the jump times decide.
         while self.jump(k) > t:
@@ -636,8 +639,10 @@ class Profile:
             if not isinstance(term, Term):
                 raise ProfileError(f"{reprlib.repr(term)}: must be one of " + ", ".join(_KINDS))
         object.__setattr__(self, "terms", tuple(self.terms))
-        if not all(math.isfinite(bound) for bound in self.bounds()):
-            raise ProfileError(f"bounds {self.bounds()}: the sum of the terms must be finite")
+        try:
+            self.bounds()
+        except OverflowError:
+            raise ProfileError(f"{reprlib.repr(self.terms)}: the sum must be finite") from None
         first = [(term, term.segment(0.0)) for term in self.terms]
         fixed = [piece for _, piece in first if piece.start == -inf and piece.end == inf]
         eventful = tuple(term for term, piece in first if piece.start > -inf or piece.end < inf)
@@ -681,7 +686,7 @@ class Profile:
         profile; for others the range may be smaller.
         """
         pairs = [term.bounds() for term in self.terms]
-        return sum([low for low, _ in pairs], 0.0), sum([high for _, high in pairs], 0.0)
+        return math.fsum([low for low, _ in pairs]), math.fsum([high for _, high in pairs])
 
     @property
     def radius(self) -> float:
@@ -771,7 +776,7 @@ class Profile:
             If there are more terms of a kind than slots, or a table that has no file.
         """
         flat: dict[str, Any] = {p.name: p.default for p in flat_parameters(slots)}
-        flat[_MEAN] = sum([t.value for t in self.terms if isinstance(t, Constant)], 0.0)
+        flat[_MEAN] = math.fsum([t.value for t in self.terms if isinstance(t, Constant)])
         for kind in _SLOTTED:
             terms = [term for term in self.terms if term.kind == kind]
             if len(terms) > slots.count(kind):
