@@ -1,13 +1,23 @@
 """What docs/signals.md shows is true: its Python runs, its C gives the same bits."""
 
 import ctypes
+import math
 import re
 import subprocess
+import tomllib
 from pathlib import Path
 
 import pytest
 
-from congelation.signals import Slots, Telegraph, flat_parameters, profile, splitmix64
+from congelation.signals import (
+    Profile,
+    Slots,
+    Telegraph,
+    box_radius,
+    flat_parameters,
+    profile,
+    splitmix64,
+)
 
 TEXT = (Path(__file__).parents[2] / "docs" / "signals.md").read_text()
 
@@ -27,6 +37,14 @@ def test_python_example():
     assert {"theta_1", "theta_2"} <= set(names)
 
 
+def test_toml_example(tmp_path):
+    (tmp_path / "wind.csv").write_text("time,value\n0,1\n1,2\n")
+    specs = tomllib.loads(block("toml", "telegraph"))["components"]["plant"]["profile"]
+    profiles = [Profile.from_spec(spec, name, str(tmp_path)) for name, spec in specs.items()]
+    assert len(profiles) == 7
+    assert box_radius(profiles[:2]) == math.sqrt(2.0)
+
+
 def test_parameter_table_lists_every_parameter():
     rows = TEXT.split("| parameter | type | default |")[1].split("\n\n")[0].splitlines()[2:]
     listed = []
@@ -42,8 +60,20 @@ def library(tmp_path_factory):
     folder = tmp_path_factory.mktemp("telegraph")
     (folder / "telegraph.c").write_text(block("c", "splitmix64"))
     subprocess.run(
-        "cc -std=c99 -O2 -ffp-contract=off -Wall -Werror -shared -fPIC "
-        "-o telegraph.so telegraph.c -lm".split(),
+        [
+            "cc",
+            "-std=c99",
+            "-O2",
+            "-ffp-contract=off",
+            "-Wall",
+            "-Werror",
+            "-shared",
+            "-fPIC",
+            "-o",
+            "telegraph.so",
+            "telegraph.c",
+            "-lm",
+        ],
         cwd=folder,
         check=True,
     )
