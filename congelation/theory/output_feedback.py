@@ -1,0 +1,342 @@
+"""Adaptive observer backstepping with congealed parameters (Sec. IV), any n and m."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+
+from congelation.theory.adaptation import Adaptation, AdaptationFactory, gradient
+from congelation.theory.gains import iss_weight, smallest_feasible_r
+from congelation.theory.kfilter import KFilter, second_row
+from congelation.theory.model import (
+    Domain,
+    Gain,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    State,
+    Variables,
+    matrix,
+    scalar,
+    vector,
+)
+from congelation.theory.observer_form import checked_orders
+
+__all__ = [
+    "OutputFeedbackDesign",
+    "OutputFeedbackStep",
+    "OutputFeedbackSymbols",
+    "output_feedback_controller",
+    "output_feedback_design",
+    "output_feedback_model",
+]
+
+
+@dataclass(frozen=True)
+class OutputFeedbackSymbols:
+    """The symbols that the law is a function of, beside those of the K-filter."""
+
+    y: Variables
+    theta_hat: Variables
+    rho_hat: Variables
+    c: Variables
+    d: Variables
+    Gamma: Variables
+    gamma: Variables
+    r: Variables
+    epsilon: Variables
+    delta: Variables
+    delta_1: Variables
+    damping: Variables
+    certified: Variables
+    sign_b_m: Variables
+
+
+@dataclass(frozen=True)
+class Partial:
+    """The partial derivatives of a virtual control, as rows."""
+
+    y: ca.SX
+    eta: ca.SX
+    lambda_: ca.SX
+    theta_hat: ca.SX
+    rho_hat: ca.SX
+
+
+@dataclass(frozen=True)
+class OutputFeedbackStep:
+    """Step i of the recursion.
+
+    Attributes
+    ----------
+    z, alpha : casadi.SX, (1, 1)
+        z_i of (45)-(46), alpha_i of (49)-(51).
+    w : casadi.SX, (m + 1 + n, 1)
+        Row i of W_theta^T in (57): what multiplies ell - theta_hat in z_i'.
+    tau, slope : casadi.SX, (m + 1 + n, 1)
+        tau_i of (47)-(48), and the slope of the adaptation law there (w for the gradient law).
+    dalpha : Partial
+        Partial derivatives of alpha_{i-1}.
+    """
+
+    z: ca.SX
+    alpha: ca.SX
+    w: ca.SX
+    tau: ca.SX
+    slope: ca.SX
+    dalpha: Partial
+
+
+@dataclass(frozen=True)
+class OutputFeedbackDesign:
+    """The whole derivation: symbols, filter, the law of the estimates, and the steps 1 .. rho."""
+
+    symbols: OutputFeedbackSymbols
+    filter: KFilter
+    adaptation: Adaptation
+    steps: tuple[OutputFeedbackStep, ...] = ()
+
+    @property
+    def z(self) -> ca.SX:
+        """The error variables z of (45)-(46), shape (rho, 1)."""
+        return ca.vertcat(*(step.z for step in self.steps))
+
+    @property
+    def W_theta(self) -> ca.SX:
+        """W_theta of (57), shape (m + 1 + n, rho)."""
+        return ca.horzcat(*(step.w for step in self.steps))
+
+    @property
+    def W_x_tilde(self) -> ca.SX:
+        """W_xtilde of (57), shape (rho, 1): [1, -d alpha_1/dy, .., -d alpha_{rho-1}/dy]^T."""
+        return ca.vertcat(1, *(-step.dalpha.y for step in self.steps[1:]))
+
+    @property
+    def alphabar_1(self) -> ca.SX:
+        """alphabar_1 of (49), without its damping multiplied by the estimate of 1/b_m."""
+        return _alphabar_1(self)
+
+    @property
+    def u(self) -> ca.SX:
+        """u = alpha_rho - v_{m,rho+1}, (53), with v_{m,n+1} = 0."""
+        v_m = ca.vertcat(self.filter.v[-1], 0)
+        return self.steps[-1].alpha - v_m[self.filter.rho]
+
+    @property
+    def theta_hat_rate(self) -> ca.SX:
+        """theta_hat' of (55): Gamma chi(theta_hat, tau_rho); the gradient law has chi = tau."""
+        return self.symbols.Gamma.symbol @ self.adaptation.rate(self.steps[-1].tau)
+
+    @property
+    def rho_hat_rate(self) -> ca.SX:
+        """rho_hat' of (54)."""
+        return _rho_hat_rate(self)
+
+
+def output_feedback_design(
+    n: int = 2, m: int = 0, adaptation: AdaptationFactory = gradient
+) -> OutputFeedbackDesign:
+    """Run the recursion (45)-(55).
+
+    Parameters
+    ----------
+    n, m : int
+        Order of the plant (27) and degree of its numerator.
+    adaptation : callable
+        The law of the estimates, see `congelation.theory.adaptation`.
+    """
+    rho, q = checked_orders(n, m), m + 1 + n
+    symbols = OutputFeedbackSymbols(
+        y=scalar("y", "Output y of the plant (27)"),
+        theta_hat=vector("theta_hat", q, "Estimate of [b, ell_a], (55)"),
+        rho_hat=scalar("rho_hat", "Estimate of 1/b_m, (54)"),
+        c=vector("c", rho, "Decay rates c_i of (49)-(51)"),
+        d=vector("d", rho, "Damping d_i against the estimation error, (49)-(51)"),
+        Gamma=matrix("Gamma", q, q, "Adaptation gain of (55)"),
+        gamma=scalar("gamma", "Adaptation gain of (54)"),
+        r=scalar("r", "Gain bound r of the ISS K-filter, (42)"),
+        epsilon=scalar("epsilon", "Weight in Young's inequality, (41)"),
+        delta=scalar("delta", "Radius of a(t), Assumption 2"),
+        delta_1=scalar("delta_1", "Radius of a_(n-1)(t) alone, at most delta"),
+        damping=scalar("damping", "True: Controller 1, with damping; false: Controller 2"),
+        certified=scalar("certified", "True: corrected damping; false: as printed in (59)"),
+        sign_b_m=scalar("sign_b_m", "Sign of the high-frequency gain b_m, Assumption 3"),
+    )
+    k_filter = KFilter(
+        m,
+        eta=vector("eta", n, "K-filter state of (28)"),
+        lambda_=vector("lambda", n, "K-filter state of (29)"),
+        k=vector("k", n, "Injection gain k = X e_1 / 2 of Theorem 1"),
+    )
+    law = adaptation(symbols.theta_hat, symbols.Gamma.symbol, rho)
+    design = OutputFeedbackDesign(symbols, k_filter, law)
+    design = replace(design, steps=(_first_step(design),))
+    for _ in range(rho - 1):
+        design = replace(design, steps=(*design.steps, _later_step(design)))
+    return design
+
+
+def _damping(symbols: OutputFeedbackSymbols) -> ca.SX:
+    """zetabar_{1,1}: the corrected damping, or (59) as printed.
+
+    Completing squares leaves sum_i (x_tilde_2 - Delta_1 y)^2 / (4 d_i); (59) drops Delta_1, the
+    variation of a_{n-1}, which y' holds directly, and halves what its own proof gives.
+    """
+    filter_gain = symbols.r.symbol * symbols.epsilon.symbol * symbols.delta.symbol
+    corrected = (filter_gain + symbols.delta_1.symbol) ** 2
+    printed = filter_gain**2 / 2  # (59)
+    choice = ca.SX(symbols.certified.symbol)
+    weight = ca.sum1(1 / (4 * symbols.d.symbol))
+    return -symbols.damping.symbol * (choice * corrected + (1 - choice) * printed) * weight
+
+
+def _omegabar(k_filter: KFilter, y: ca.SX) -> ca.SX:
+    """omega with its first entry, v_{m,2}, taken out: omega = omegabar + v_{m,2} e_1."""
+    omegabar = k_filter.omega(y)
+    omegabar[0] = 0
+    return omegabar
+
+
+def _alphabar_1(design: OutputFeedbackDesign) -> ca.SX:
+    """alphabar_1 of (49)."""
+    symbols, k_filter = design.symbols, design.filter
+    z_1 = symbols.y.symbol
+    return (
+        -(symbols.c.symbol[0] + symbols.d.symbol[0]) * z_1
+        + _damping(symbols) * z_1
+        - second_row(k_filter.xi)
+        - _omegabar(k_filter, z_1).T @ symbols.theta_hat.symbol
+    )
+
+
+def _rho_hat_rate(design: OutputFeedbackDesign) -> ca.SX:
+    """rho_hat' = -gamma sgn(b_m) alphabar_1 z_1, (54)."""
+    symbols = design.symbols
+    return -symbols.gamma.symbol * symbols.sign_b_m.symbol * _alphabar_1(design) * symbols.y.symbol
+
+
+def _first_step(design: OutputFeedbackDesign) -> OutputFeedbackStep:
+    """Step 1: (45), (47), (49)."""
+    symbols, k_filter, law = design.symbols, design.filter, design.adaptation
+    z = symbols.y.symbol  # (45)
+    alpha = symbols.rho_hat.symbol * _alphabar_1(design)  # (49)
+    if k_filter.rho == 1:
+        # Here b_m (u + v_{m,2}) = b_m alpha_1 exactly: no z_2, so b_m is not estimated.
+        w = _omegabar(k_filter, z)
+    else:
+        w = k_filter.omega(z)
+        w[0] -= alpha  # omega - rho_hat alphabar_1 e_1
+    regressor = law.regressor(w, z)
+    tau = regressor * z  # (47)
+    slope = law.slope(ca.SX.zeros(*tau.shape), tau, regressor)
+    return OutputFeedbackStep(z, alpha, w, tau, slope, _partial(ca.SX(0), design))
+
+
+def _later_step(design: OutputFeedbackDesign) -> OutputFeedbackStep:
+    """Step i, 2 <= i <= rho: (46), (48), (50)-(52), (56)."""
+    symbols, k_filter, law, steps = design.symbols, design.filter, design.adaptation, design.steps
+    i, last, Gamma = len(design.steps) + 1, design.steps[-1], symbols.Gamma.symbol
+    z = k_filter.v[-1][i - 1] - last.alpha  # (46)
+    dalpha = _partial(last.alpha, design)
+    w = -dalpha.y * k_filter.omega(symbols.y.symbol)
+    regressor = law.regressor(w, z)
+    tau = last.tau + regressor * z  # (48)
+    slope = law.slope(last.tau, tau, regressor)
+
+    coupling = symbols.theta_hat.symbol[0] if i == 2 else 1  # b_m_hat, (50); 1, (51)
+    mu = sum((step.dalpha.theta_hat @ Gamma @ slope * step.z for step in steps[1:]), ca.SX(0))
+    alpha = (  # (50)-(51), with d alpha/d theta_hat where d alpha/dy is printed before Gamma tau
+        -coupling * last.z
+        - (symbols.c.symbol[i - 1] + symbols.d.symbol[i - 1] * dalpha.y**2) * z
+        + _beta(design, dalpha)
+        + dalpha.theta_hat @ Gamma @ law.rate(tau)
+        + mu  # (56) with sigma_{j,i} = (d alpha_{j-1}/d theta_hat) Gamma (d alpha_{i-1}/dy) omega
+    )
+    return OutputFeedbackStep(z, alpha, w, tau, slope, dalpha)
+
+
+def _beta(design: OutputFeedbackDesign, dalpha: Partial) -> ca.SX:
+    """beta_i of (52): the part of d alpha_{i-1}/dt, and of v_{m,i}', that is known."""
+    symbols, k_filter, i = design.symbols, design.filter, len(design.steps) + 1
+    y, omega = symbols.y.symbol, k_filter.omega(symbols.y.symbol)
+    # alpha_{i-1} depends on lambda_1 .. lambda_{m+i-1} only, which the input does not reach.
+    free_lambda_rate = k_filter.lambda_rate(ca.SX(0))
+    return (
+        dalpha.y * (second_row(k_filter.xi) + omega.T @ symbols.theta_hat.symbol)
+        + dalpha.eta @ k_filter.eta_rate(y)
+        + k_filter.k.symbol[i - 1] * k_filter.v[-1][0]
+        + dalpha.lambda_ @ free_lambda_rate
+        + dalpha.rho_hat * _rho_hat_rate(design)
+    )
+
+
+def _partial(alpha: ca.SX, design: OutputFeedbackDesign) -> Partial:
+    """The partial derivatives of a virtual control, from one reverse sweep."""
+    symbols, k_filter = design.symbols, design.filter
+    variables = (symbols.y, k_filter.eta, k_filter.lambda_, symbols.theta_hat, symbols.rho_hat)
+    ends = np.cumsum([0, *(v.symbol.numel() for v in variables)]).tolist()
+    row = ca.jacobian(alpha, ca.vertcat(*(v.symbol for v in variables)))
+    return Partial(*ca.horzsplit(row, ends))
+
+
+def output_feedback_controller(
+    n: int = 2, m: int = 0, adaptation: AdaptationFactory = gradient
+) -> Model:
+    """The controller (53)-(55) with its K-filter (28)-(29) as a block.
+
+    Parameters
+    ----------
+    n, m, adaptation
+        See `output_feedback_design`.
+    """
+    return output_feedback_model(output_feedback_design(n, m, adaptation))
+
+
+def output_feedback_model(design: OutputFeedbackDesign) -> Model:
+    """The block of a derivation, on the symbols of that derivation."""
+    symbols, k_filter = design.symbols, design.filter
+    n, m, rho, q = k_filter.n, k_filter.m, k_filter.rho, symbols.theta_hat.symbol.numel()
+    zeros = (0.0,) * n
+    return Model(
+        name="OutputFeedbackController",
+        description=f"Output feedback controller (53)-(55) for the plant (27), n = {n}, m = {m}",
+        inputs=(Input.of(symbols.y),),
+        states=(
+            State(symbols.theta_hat, design.theta_hat_rate, start=(0.0,) * q),
+            State(symbols.rho_hat, design.rho_hat_rate, start=(0.0,)),
+            State(k_filter.eta, k_filter.eta_rate(symbols.y.symbol), start=zeros),
+            State(k_filter.lambda_, k_filter.lambda_rate(design.u), start=zeros),
+        ),
+        parameters=(
+            Parameter(symbols.c, (1.0,) * rho, Domain.POSITIVE),
+            Parameter(symbols.d, (1.0,) * rho, Domain.POSITIVE),
+            Parameter(symbols.Gamma, tuple(np.eye(q).ravel()), Domain.POSITIVE_DEFINITE),
+            Parameter(symbols.gamma, (1.0,), Domain.POSITIVE),
+            Parameter(symbols.r, (_default_r(n),), Domain.POSITIVE),
+            Parameter(symbols.epsilon, (1.0,), Domain.POSITIVE),
+            Parameter(symbols.delta, (1.0,), Domain.NONNEGATIVE),
+            Parameter(symbols.delta_1, (1.0,), Domain.NONNEGATIVE),
+            Parameter(symbols.damping, (1.0,), Domain.BOOLEAN),
+            Parameter(symbols.certified, (1.0,), Domain.BOOLEAN),
+            Parameter(symbols.sign_b_m, (1.0,), Domain.SIGN),
+            *design.adaptation.parameters,
+        ),
+        gains=(Gain(k_filter.k, "iss_filter_gain", ("r", "epsilon"), {"n": n}),),
+        outputs=(
+            Output(
+                Variables("u", design.u, "Control u of (53)", indexed=False), differentiated=True
+            ),
+            Output(symbols.theta_hat),
+            Output(symbols.rho_hat),
+            Output(Variables("z", design.z, "Error variables z of (45)-(46)")),
+        ),
+    )
+
+
+def _default_r(n: int) -> float:
+    """Twice the smallest feasible r for epsilon = 1, rounded up: a filter of moderate gain."""
+    return math.ceil(2 * smallest_feasible_r(n, iss_weight(n, 1.0)))
