@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import enum
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
+
+from congelation.errors import InvalidInput, nearest
 
 __all__ = [
     "Domain",
@@ -189,14 +191,11 @@ class Model:
 
     def total_derivative(self, expression: ca.SX) -> ca.SX:
         """d/dt of an expression in the states and inputs, by the chain rule."""
-        rate = ca.SX.zeros(*expression.shape)
-        for state in self.states:
-            rate += ca.jtimes(expression, _column(state.variables.symbol), _column(state.rate))
-        for entry in self.inputs:
-            rate += ca.jtimes(
-                expression, _column(entry.variables.symbol), _column(entry.derivative)
-            )
-        return rate
+        moving = [(s.variables.symbol, s.rate) for s in self.states]
+        moving += [(i.variables.symbol, i.derivative) for i in self.inputs]
+        symbols = ca.vertcat(*(_column(symbol) for symbol, _ in moving))
+        rates = ca.vertcat(*(_column(rate) for _, rate in moving))
+        return ca.jtimes(expression, symbols, rates)  # one sweep for all of them
 
     def output(self, name: str) -> ca.SX:
         """The expression of the output `name`."""
@@ -220,6 +219,25 @@ class Model:
             for p in self.parameters
         }
 
+    def with_defaults(self, values: Mapping[str, object]) -> Model:
+        """This model with other defaults, by the names of parameters and ``<state>0``.
+
+        Raises
+        ------
+        InvalidInput
+            If a name is unknown, or a value has the wrong shape.
+        """
+        known = {p.variables.name: p.variables.shape for p in self.parameters}
+        known |= {f"{s.variables.name}0": s.variables.shape for s in self.states}
+        given = {name: _shaped(name, value, known) for name, value in values.items()}
+        parameters = tuple(
+            replace(p, default=given.get(p.variables.name, p.default)) for p in self.parameters
+        )
+        states = tuple(
+            replace(s, start=given.get(f"{s.variables.name}0", s.start)) for s in self.states
+        )
+        return replace(self, parameters=parameters, states=states)
+
     def evaluate(
         self, expressions: Sequence[ca.SX], values: Mapping[str, object]
     ) -> list[np.ndarray]:
@@ -235,3 +253,21 @@ class Model:
 
 def _column(symbol: ca.SX) -> ca.SX:
     return ca.vec(symbol)
+
+
+def _shaped(name: str, value: object, known: Mapping[str, tuple[int, int]]) -> tuple[float, ...]:
+    """A value as numbers row by row, if `name` is known and the shape fits."""
+    if name not in known:
+        raise InvalidInput(f"{name} is not known; {nearest(name, known)}")
+    rows, columns = known[name]
+    try:
+        numbers = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InvalidInput(f"{name} = {value!r} is not valid; give numbers") from None
+    shapes = {(rows, columns), (rows,) if columns == 1 else (rows, columns)}
+    if rows == columns == 1:
+        shapes |= {(), (1,)}
+    if numbers.shape not in shapes or not np.isfinite(numbers).all():
+        size = f"{rows} numbers" if columns == 1 else f"{rows} rows of {columns} numbers"
+        raise InvalidInput(f"{name} = {value!r} is not valid; give {size}")
+    return tuple(float(v) for v in numbers.ravel())

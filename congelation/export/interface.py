@@ -1,0 +1,314 @@
+"""The variables of an FMU, derived from a model: names, types, start values, dependencies.
+
+The order of the table is what the generated equations, the slave at run time and
+modelDescription.xml agree on: a variable's place in it is its value reference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from congelation.signals import FlatParameter, Profile, Slots, flat_parameters
+from congelation.theory.model import Domain, Model, Parameter, State, Variables
+
+__all__ = [
+    "Interface",
+    "ProfileSlots",
+    "ScalarVariable",
+    "Start",
+    "interface_of",
+    "start_names",
+]
+
+# Inputs take a value and derivatives up to this order: a cubic over the communication step.
+HIGHEST_ORDER = 3
+
+Start = float | int | bool | str
+
+
+@dataclass(frozen=True)
+class ScalarVariable:
+    """One row of the table.
+
+    `depends` names the variables that an output or calculated parameter depends on: inputs at
+    every communication point, parameters besides at initialisation.
+    """
+
+    name: str
+    type: str
+    causality: str
+    variability: str
+    initial: str | None
+    start: Start | None
+    description: str
+    unit: str = ""
+    depends: frozenset[str] = frozenset()
+
+
+@dataclass(frozen=True)
+class Interface:
+    """All variables of an FMU, and the part that each of them plays.
+
+    Everything but `variables` holds value references, in the order in which the equations take
+    or return the values. `inputs` begins with the inputs proper, then their derivatives of order
+    1, 2 and 3, then dtheta; `parameters` and `profiles` are by name.
+    """
+
+    variables: tuple[ScalarVariable, ...]
+    inputs: tuple[int, ...]
+    dtheta: tuple[int, ...]
+    outputs: tuple[int, ...]
+    theta: tuple[int, ...]
+    next_event: tuple[int, ...]
+    derivatives: tuple[int, ...]
+    gains: tuple[int, ...]
+    parameters: Mapping[str, tuple[int, ...]]
+    starts: tuple[int, ...]
+    profiles: Mapping[str, Mapping[str, int]]
+
+
+def start_names(state: State, plant: bool) -> tuple[str, ...]:
+    """Names of the parameters that hold the start values of a state.
+
+    A plant's are x0[i] even where its state is the scalar x.
+    """
+    name = state.variables.name
+    if plant and not state.variables.indexed:
+        return (f"{name}0[1]",)
+    return tuple(n.replace(name, f"{name}0", 1) for n in state.variables.names)
+
+
+@dataclass(frozen=True)
+class ProfileSlots:
+    """The default profile of one component of theta, and the room for others."""
+
+    profile: Profile
+    slots: Slots
+
+    @property
+    def parameters(self) -> list[FlatParameter]:
+        return flat_parameters(self.slots)
+
+
+def interface_of(model: Model, profiles: Sequence[ProfileSlots] = ()) -> Interface:
+    """The interface of the FMU of `model`.
+
+    Parameters
+    ----------
+    model : Model
+        A plant (with theta) or a controller.
+    profiles : sequence of ProfileSlots
+        For a plant: one for each component of theta.
+    """
+    rows: list[ScalarVariable] = []
+
+    def add(group: Iterable[ScalarVariable]) -> tuple[int, ...]:
+        first = len(rows)
+        rows.extend(group)
+        return tuple(range(first, len(rows)))
+
+    plant = model.theta is not None
+    causes = _Causes(model, profiles)
+    inputs = add(_inputs(model))
+    dtheta = add(_dtheta(model))
+    outputs = add(_outputs(model, causes))
+    theta = add(_theta(model, causes))
+    next_event = add(_next_event(causes)) if plant else ()
+    derivatives = add(_derivatives(model, causes))
+    outputs += add(_locals(model))
+    gains = add(_gains(model, causes))
+    parameters = {p.variables.name: add(_parameter(p)) for p in model.parameters}
+    starts = [vr for state in model.states for vr in add(_starts(state, plant))]
+    fields = {
+        f"profile[{j}]": dict(
+            zip((row.name for row in p.parameters), add(_profile(j, p)), strict=True)
+        )
+        for j, p in enumerate(profiles, start=1)
+    }
+    return Interface(
+        tuple(rows),
+        inputs + dtheta,
+        dtheta,
+        outputs,
+        theta,
+        next_event,
+        derivatives,
+        gains,
+        parameters,
+        tuple(starts),
+        fields,
+    )
+
+
+class _Causes:
+    """Which FMU variables stand behind the symbols of a model."""
+
+    def __init__(self, model: Model, profiles: Sequence[ProfileSlots]) -> None:
+        plant = model.theta is not None
+        self.theta = [
+            frozenset({f"dtheta[{j}]"} | {f"profile[{j}].{row.name}" for row in p.parameters})
+            for j, p in enumerate(profiles, start=1)
+        ]
+        self._symbols: list[ca.SX] = []
+        self._names: list[frozenset[str]] = []
+        for entry in model.inputs:
+            self._note(entry.variables.elements, _singly(entry.variables.names))
+            slopes = Variables("", entry.derivative, "").elements
+            self._note(slopes, _singly(f"der({n})" for n in entry.variables.names))
+        for state in model.states:
+            self._note(state.variables.elements, _singly(start_names(state, plant)))
+        elements_of = {p.variables.name: p.variables.names for p in model.parameters}
+        for parameter in model.parameters:
+            self._note(parameter.variables.elements, _singly(parameter.variables.names))
+        if model.theta is not None:
+            self._note(model.theta.elements, self.theta)
+        self.gains = {
+            g.variables.name: frozenset(n for name in g.arguments for n in elements_of[name])
+            for g in model.gains
+        }
+        for gain in model.gains:
+            elements = gain.variables.elements
+            self._note(elements, [self.gains[gain.variables.name]] * len(elements))
+
+    def _note(self, symbols: Iterable[ca.SX], names: Iterable[frozenset[str]]) -> None:
+        self._symbols += symbols
+        self._names += names
+
+    def behind(self, expression: ca.SX) -> frozenset[str]:
+        """Names of the variables that a scalar expression depends on."""
+        depends = ca.which_depends(expression, ca.vertcat(*self._symbols), 1, False)
+        groups = [names for names, d in zip(self._names, depends, strict=True) if d]
+        return frozenset[str]().union(*groups)
+
+
+def _singly(names: Iterable[str]) -> list[frozenset[str]]:
+    return [frozenset({name}) for name in names]
+
+
+def _per_second(unit: str, order: int = 1) -> str:
+    power = "s" if order == 1 else f"s{order}"
+    return f"{unit}/{power}" if unit else f"1/{power}"
+
+
+def _input(name: str, description: str, unit: str) -> ScalarVariable:
+    return ScalarVariable(name, "Real", "input", "continuous", None, 0.0, description, unit)
+
+
+def _inputs(model: Model) -> Iterable[ScalarVariable]:
+    proper = [
+        (name, unit, entry.variables.description)
+        for entry in model.inputs
+        for name, unit in zip(entry.variables.names, entry.variables.units, strict=True)
+    ]
+    for name, unit, description in proper:
+        yield _input(name, description, unit)
+    for order in range(1, HIGHEST_ORDER + 1):
+        for name, unit, _ in proper:
+            derivative = f"der({name})" if order == 1 else f"der({name},{order})"
+            about = f"Derivative of order {order} of {name} at the communication point; 0: none"
+            yield _input(derivative, about, _per_second(unit, order))
+
+
+def _dtheta(model: Model) -> Iterable[ScalarVariable]:
+    if model.theta is None:
+        return
+    for j, unit in enumerate(model.theta.units, start=1):
+        yield _input(f"dtheta[{j}]", f"Added to the profile of theta[{j}], held over a step", unit)
+
+
+def _output(name: str, description: str, unit: str, depends: frozenset[str]) -> ScalarVariable:
+    return ScalarVariable(
+        name, "Real", "output", "continuous", "calculated", None, description, unit, depends
+    )
+
+
+def _outputs(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
+    for output in model.outputs:
+        v = output.variables
+        for name, expression, unit in zip(v.names, v.elements, v.units, strict=True):
+            yield _output(name, v.description, unit, causes.behind(expression))
+
+
+def _derivatives(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
+    for output in model.outputs:
+        if not output.differentiated:
+            continue
+        v = output.variables
+        for name, expression, unit in zip(v.names, v.elements, v.units, strict=True):
+            depends = causes.behind(model.total_derivative(expression))
+            about = f"Time derivative of {name}"
+            yield _output(f"der({name})", about, _per_second(unit), depends)
+
+
+def _theta(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
+    if model.theta is None:
+        return
+    v = model.theta
+    for name, unit, depends in zip(v.names, v.units, causes.theta, strict=True):
+        yield _output(name, v.description, unit, depends)
+
+
+def _next_event(causes: _Causes) -> Iterable[ScalarVariable]:
+    depends = frozenset[str]().union(*causes.theta)
+    parameters = frozenset(name for name in depends if not name.startswith("dtheta"))
+    about = "Next time at which theta or its slope jumps; infinite if it never does"
+    yield _output("next_event", about, "s", parameters)
+
+
+def _locals(model: Model) -> Iterable[ScalarVariable]:
+    """States that are not outputs: readable, so that nothing of the law is hidden."""
+    shown = {output.variables.name for output in model.outputs}
+    for state in model.states:
+        v = state.variables
+        if v.name in shown:
+            continue
+        for name, unit in zip(v.names, v.units, strict=True):
+            yield ScalarVariable(
+                name, "Real", "local", "continuous", "calculated", None, v.description, unit
+            )
+
+
+def _gains(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
+    for gain in model.gains:
+        v = gain.variables
+        for name, unit in zip(v.names, v.units, strict=True):
+            yield ScalarVariable(
+                name,
+                "Real",
+                "calculatedParameter",
+                "fixed",
+                "calculated",
+                None,
+                v.description,
+                unit,
+                causes.gains[v.name],
+            )
+
+
+def _fixed(name: str, kind: str, start: Start, description: str, unit: str) -> ScalarVariable:
+    return ScalarVariable(name, kind, "parameter", "fixed", "exact", start, description, unit)
+
+
+def _parameter(parameter: Parameter) -> Iterable[ScalarVariable]:
+    v = parameter.variables
+    boolean = parameter.domain is Domain.BOOLEAN
+    for name, unit, default in zip(v.names, v.units, parameter.default, strict=True):
+        start: Start = bool(default) if boolean else float(default)
+        yield _fixed(name, "Boolean" if boolean else "Real", start, v.description, unit)
+
+
+def _starts(state: State, plant: bool) -> Iterable[ScalarVariable]:
+    v = state.variables
+    names = start_names(state, plant)
+    for start_name, name, unit, start in zip(names, v.names, v.units, state.start, strict=True):
+        yield _fixed(start_name, "Real", float(start), f"Start value of {name}", unit)
+
+
+def _profile(j: int, profile: ProfileSlots) -> Iterable[ScalarVariable]:
+    starts = profile.profile.to_flat(profile.slots)
+    for row in profile.parameters:
+        about = f"Profile of theta[{j}]: {row.description}"
+        yield _fixed(f"profile[{j}].{row.name}", row.type, starts[row.name], about, row.unit)

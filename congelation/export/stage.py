@@ -1,0 +1,223 @@
+"""The sources of one FMU, written to a folder: shared code, generated code, documentation.
+
+All FMUs of a process share one Python interpreter, where modules are found by name: two FMUs with
+an equally named module would run each other's code. So the package of every FMU carries a hash of
+all its sources in its name, and everything in it is imported by that name.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import html
+import json
+import pprint
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from congelation import signals
+from congelation.export.equations import equations_module
+from congelation.export.interface import Interface, interface_of
+from congelation.export.spec import FmuSpec, Spec
+
+__all__ = ["Staged", "stage"]
+
+# Stands for the FMU's own package in the sources under fmu_src.
+_SHARED = "_shared"
+_DIGITS = 16
+
+
+@dataclass(frozen=True)
+class Staged:
+    """A staged FMU: where its files lie, under which names, with which variables."""
+
+    name: str
+    description: str
+    package: str
+    digest: str
+    slave: Path
+    resources: tuple[Path, ...]
+    documentation: Path
+    interface: Interface
+
+
+def stage(fmu: FmuSpec, spec: Spec, sources: Path, folder: Path) -> Staged:
+    """Write the sources of an FMU under `folder`.
+
+    Parameters
+    ----------
+    fmu : FmuSpec
+        The plant or the controller of `spec`.
+    spec : Spec
+        Goes into the FMU as ``spec.json``, so that others can derive the same equations.
+    sources : Path
+        The folder fmu_src.
+    folder : Path
+        An empty folder.
+    """
+    interface = interface_of(fmu.model, fmu.profiles)
+    modules = _modules(fmu, interface, sources)
+    about = json.dumps(_about(fmu, spec), indent=1, sort_keys=True) + "\n"
+    page = _page(fmu, interface, (sources / fmu.folder / "equations.html").read_text("utf-8"))
+    digest = _digest({**modules, "spec.json": about, "index.html": page})
+    package = f"congelation_{digest[:_DIGITS]}"
+    package_folder = folder / package
+    package_folder.mkdir(parents=True)
+    for name, text in modules.items():
+        if name != "slave.py":
+            text = text.replace('KEY = ""', f'KEY = "{fmu.name} {digest}"')
+            (package_folder / name).write_text(text, "utf-8")
+    slave = folder / f"{package}_slave.py"
+    slave.write_text(modules["slave.py"].replace(f"from {_SHARED}.", f"from {package}."), "utf-8")
+    (folder / "spec.json").write_text(about, "utf-8")
+    documentation = folder / "documentation"
+    documentation.mkdir()
+    (documentation / "index.html").write_text(page, "utf-8")
+    return Staged(
+        fmu.name,
+        fmu.model.description,
+        package,
+        digest,
+        slave,
+        (package_folder, folder / "spec.json"),
+        documentation,
+        interface,
+    )
+
+
+def _modules(fmu: FmuSpec, interface: Interface, sources: Path) -> dict[str, str]:
+    """File name and text of every module of the FMU."""
+    files = sorted((sources / _SHARED).glob("*.py"))
+    modules = {file.name: file.read_text("utf-8") for file in files}
+    modules["signals.py"] = Path(signals.__file__).read_text("utf-8")
+    modules["slave.py"] = (sources / fmu.folder / "slave.py").read_text("utf-8")
+    modules["equations.py"] = equations_module(fmu.model)
+    modules["interface.py"] = _interface_module(fmu, interface)
+    return modules
+
+
+def _digest(texts: Mapping[str, str]) -> str:
+    total = hashlib.sha256()
+    for name, text in sorted(texts.items()):
+        for part in (name, text):
+            data = part.encode("utf-8")
+            total.update(len(data).to_bytes(8, "big") + data)
+    return total.hexdigest()
+
+
+def _about(fmu: FmuSpec, spec: Spec) -> dict[str, object]:
+    return {
+        "title": spec.title,
+        "form": spec.form,
+        "structure": spec.structure,
+        "role": "plant" if fmu is spec.plant else "controller",
+        "plant": spec.plant.name,
+        "controller": spec.controller.name,
+    }
+
+
+def _interface_module(fmu: FmuSpec, interface: Interface) -> str:
+    """The table of variables as Python, for the slave at run time."""
+    model = fmu.model
+    proper = sum(len(i.variables.names) for i in model.inputs)
+    computed = (
+        *interface.outputs,
+        *interface.theta,
+        *interface.next_event,
+        *interface.derivatives,
+        *interface.gains,
+    )
+    tables: dict[str, object] = {
+        "INPUTS": interface.inputs,
+        "PROPER_INPUTS": proper,
+        "DTHETA_SLOTS": tuple(interface.inputs.index(vr) for vr in interface.dtheta),
+        "OUTPUTS": interface.outputs,
+        "THETA": interface.theta,
+        "NEXT_EVENT": interface.next_event[0] if interface.next_event else None,
+        "DERIVATIVES": interface.derivatives,
+        "GAINS": interface.gains,
+        "STARTS": interface.starts,
+        "PARAMETERS": tuple(
+            (
+                p.variables.name,
+                p.domain.name,
+                interface.parameters[p.variables.name],
+                p.variables.shape[1],
+            )
+            for p in model.parameters
+        ),
+        "RULES": tuple(
+            (g.variables.name, g.rule, g.arguments, dict(g.constants)) for g in model.gains
+        ),
+        "PROFILES": tuple((n, tuple(f.items())) for n, f in interface.profiles.items()),
+    }
+    rows = [
+        (v.name, v.type, v.causality, v.variability, v.initial, v.start, v.description)
+        for v in interface.variables
+    ]
+    lines = [
+        f'"""The table of variables of {fmu.name}. Generated by congelation."""',
+        "",
+        "from __future__ import annotations",
+        "",
+        "from .variable import Variable",
+        "",
+        f"NAME = {fmu.name!r}",
+        f"DESCRIPTION = {model.description!r}",
+        'KEY = ""',
+        "VARIABLES = tuple(",
+        "    Variable(*row)",
+        f"    for row in {pprint.pformat(rows, width=120, sort_dicts=False)}",
+        ")",
+        *(f"{name} = {pprint.pformat(value, width=100)}" for name, value in tables.items()),
+        f"COMPUTED = frozenset({sorted(computed)!r})",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+_PAGE = """<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<title>{name}</title>
+<style>
+body {{ font: 16px/1.5 sans-serif; max-width: 60em; margin: 2em auto; padding: 0 1em; }}
+table {{ border-collapse: collapse; font-size: 14px; }}
+th, td {{ border: 1px solid #bbb; padding: 0.2em 0.6em; text-align: left; }}
+.equation {{ margin-left: 2em; }}
+</style>
+</head>
+<body>
+<h1>{name}</h1>
+<p>{description}. Equation numbers are those of K. Chen and A. Astolfi, <i>Adaptive Control of
+Linear Systems with Time-Varying Parameters</i>, American Control Conference 2018.</p>
+{equations}
+<p>On a communication step [t, t + h] an input v acts as
+v + der(v) s + der(v,2) s&sup2;/2 + der(v,3) s&sup3;/6, s being the time since t; left alone, the
+derivatives are 0 and v is held.</p>
+<h2>Variables</h2>
+<table>
+<tr><th>Name</th><th>Causality</th><th>Type</th><th>Start</th><th>Unit</th><th>Description</th></tr>
+{rows}
+</table>
+</body>
+</html>
+"""
+
+
+def _page(fmu: FmuSpec, interface: Interface, equations: str) -> str:
+    """documentation/index.html: the equations and the variables."""
+    cells = (
+        (v.name, v.causality, v.type, "" if v.start is None else v.start, v.unit, v.description)
+        for v in interface.variables
+    )
+    rows = "\n".join(
+        "<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>"
+        for row in cells
+    )
+    return _PAGE.format(
+        name=html.escape(fmu.name),
+        description=html.escape(fmu.model.description),
+        equations=equations.strip(),
+        rows=rows,
+    )

@@ -1,0 +1,254 @@
+"""A CasADi expression graph written out as straight-line Python.
+
+The text needs nothing but `math`: it is what runs inside an FMU. Nodes that depend on constants
+only (parameters, gains) are evaluated once, when the equations are bound to them; a node used
+once stands inside the expression that uses it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+__all__ = ["Block", "constants_and_functions"]
+
+_BINARY: dict[int, str] = {
+    ca.OP_ADD: "({0} + {1})",
+    ca.OP_SUB: "({0} - {1})",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_POW: "{0} ** {1}",
+    ca.OP_CONSTPOW: "{0} ** {1}",
+    ca.OP_FMIN: "min({0}, {1})",
+    ca.OP_FMAX: "max({0}, {1})",
+    ca.OP_LT: "float({0} < {1})",
+    ca.OP_LE: "float({0} <= {1})",
+    ca.OP_EQ: "float({0} == {1})",
+    ca.OP_NE: "float({0} != {1})",
+    ca.OP_AND: "float({0} != 0.0 and {1} != 0.0)",
+    ca.OP_OR: "float({0} != 0.0 or {1} != 0.0)",
+    # CasADi's if_else is the sum of two of these: the branch not taken must count as zero even
+    # where its value is not finite.
+    ca.OP_IF_ELSE_ZERO: "({1} if {0} else 0.0)",
+    ca.OP_COPYSIGN: "copysign({0}, {1})",
+    ca.OP_ATAN2: "atan2({0}, {1})",
+    ca.OP_HYPOT: "hypot({0}, {1})",
+}
+_UNARY: dict[int, str] = {
+    ca.OP_NEG: "-{0}",
+    ca.OP_TWICE: "2.0 * {0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_INV: "1.0 / {0}",
+    ca.OP_SQRT: "sqrt({0})",
+    ca.OP_EXP: "exp({0})",
+    ca.OP_LOG: "log({0})",
+    ca.OP_SIN: "sin({0})",
+    ca.OP_COS: "cos({0})",
+    ca.OP_TAN: "tan({0})",
+    ca.OP_TANH: "tanh({0})",
+    ca.OP_FABS: "abs({0})",
+    ca.OP_SIGN: "float(({0} > 0.0) - ({0} < 0.0))",
+    ca.OP_NOT: "float({0} == 0.0)",
+}
+# Operators that bind looser than a call or a name: their text is bracketed inside another one.
+_LOOSE = (
+    ca.OP_MUL,
+    ca.OP_DIV,
+    ca.OP_POW,
+    ca.OP_CONSTPOW,
+    ca.OP_NEG,
+    ca.OP_TWICE,
+    ca.OP_SQ,
+    ca.OP_INV,
+)
+# Operators whose text repeats an operand: it must then be a name.
+_REPEATING = (ca.OP_SQ, ca.OP_SIGN)
+# An inlined expression longer than this is given a name, to keep the lines readable.
+_LONGEST_INLINE = 72
+
+
+@dataclass(frozen=True)
+class Block:
+    """One function to write: its name, its arguments (name, symbol) and its results.
+
+    `arguments` are groups; each group is one Python argument, unpacked where it holds more than
+    one symbol.
+    """
+
+    name: str
+    arguments: tuple[tuple[str, tuple[ca.SX, ...]], ...]
+    results: tuple[ca.SX, ...]
+    doc: str
+
+
+@dataclass
+class _Node:
+    """One operation of the graph in static single assignment form."""
+
+    operation: int
+    operands: tuple[int, ...]
+    text: str = ""
+    fixed: bool = False
+    uses: int = 0
+
+
+def constants_and_functions(
+    constants: Sequence[tuple[str, ca.SX]], blocks: Iterable[Block]
+) -> list[str]:
+    """Source lines of the body of ``bind(constants)``: its fixed nodes, then its functions.
+
+    Parameters
+    ----------
+    constants : sequence of (name, symbol)
+        Symbols known when the equations are bound, under the Python names they then have.
+    blocks : iterable of Block
+        The functions to write.
+
+    Returns
+    -------
+    list of str
+        Lines without common indentation.
+
+    Raises
+    ------
+    ValueError
+        If a result depends on a symbol that is neither a constant nor an argument.
+    """
+    fixed_lines: list[str] = []
+    function_lines: list[str] = []
+    for number, block in enumerate(blocks):
+        fixed, function = _Writer(constants, block, prefix=f"f{number}_").write()
+        fixed_lines += fixed
+        function_lines += ["", *function]
+    return fixed_lines + function_lines
+
+
+class _Writer:
+    """Writes one block; a current state is held only while it is being written."""
+
+    def __init__(self, constants: Sequence[tuple[str, ca.SX]], block: Block, prefix: str) -> None:
+        self._block = block
+        self._prefix = prefix
+        groups = [
+            _names_of(name, symbols) for name, symbols in block.arguments
+        ]
+        self._names = [name for name, _ in constants] + [n for group in groups for n in group]
+        self._constant_count = len(constants)
+        symbols = [s for _, s in constants] + [s for _, g in block.arguments for s in g]
+        results = ca.cse(ca.vertcat(*block.results)) if block.results else ca.SX(0, 1)
+        self._function = ca.Function("graph", symbols, [results], {"allow_free": False})
+        self._nodes: list[_Node] = []
+        self._results: list[int] = [self._constant(0.0)] * len(block.results)
+        self._read_graph()
+
+    def _constant(self, value: float) -> int:
+        self._nodes.append(_Node(ca.OP_CONST, (), repr(float(value)), fixed=True))
+        return len(self._nodes) - 1
+
+    def _read_graph(self) -> None:
+        """From CasADi's instructions on a work vector to single assignments."""
+        function = self._function
+        at: dict[int, int] = {}
+        for k in range(function.n_instructions()):
+            operation = function.instruction_id(k)
+            inputs, outputs = function.instruction_input(k), function.instruction_output(k)
+            if operation == ca.OP_OUTPUT:
+                self._results[outputs[1]] = at[inputs[0]]
+                self._nodes[at[inputs[0]]].uses += 1
+            elif operation == ca.OP_CONST:
+                at[outputs[0]] = self._constant(function.instruction_constant(k))
+            elif operation == ca.OP_INPUT:
+                position = inputs[0]
+                at[outputs[0]] = self._append(
+                    _Node(operation, (), self._names[position], position < self._constant_count)
+                )
+            else:
+                operands = tuple(at[i] for i in inputs)
+                for i in operands:
+                    self._nodes[i].uses += 1
+                fixed = all(self._nodes[i].fixed for i in operands)
+                at[outputs[0]] = self._append(_Node(operation, operands, fixed=fixed))
+
+    def _append(self, node: _Node) -> int:
+        self._nodes.append(node)
+        return len(self._nodes) - 1
+
+    def write(self) -> tuple[list[str], list[str]]:
+        """The lines to evaluate once, and those of the function."""
+        needed_by_function = self._fixed_nodes_needed()
+        repeated = {i for n in self._nodes if n.operation in _REPEATING for i in n.operands}
+        fixed_lines: list[str] = []
+        body: list[str] = []
+        for index, node in enumerate(self._nodes):
+            if node.operation in (ca.OP_CONST, ca.OP_INPUT):
+                continue
+            text = self._expression(node)
+            named = (
+                node.uses > 1
+                or index in needed_by_function
+                or len(text) > _LONGEST_INLINE
+                or index in repeated
+            )
+            if named:
+                name = f"{self._prefix}{index}" if node.fixed else f"w{index}"
+                (fixed_lines if node.fixed else body).append(f"{name} = {_unbracketed(text)}")
+                node.text, node.operation = name, ca.OP_INPUT
+            else:
+                node.text = text
+        returned = ", ".join(_unbracketed(self._nodes[i].text) for i in self._results)
+        comma = "," if len(self._results) == 1 else ""
+        return fixed_lines, [
+            f"def {self._block.name}({', '.join(name for name, _ in self._block.arguments)}):",
+            f'    """{self._block.doc}"""',
+            *(f"    {line}" for line in self._unpacking()),
+            *(f"    {line}" for line in body),
+            f"    return ({returned}{comma})",
+        ]
+
+    def _unpacking(self) -> list[str]:
+        lines = []
+        for name, symbols in self._block.arguments:
+            names = _names_of(name, symbols)
+            if names:
+                lines.append(f"({', '.join(names)},) = {name}")
+        return lines
+
+    def _fixed_nodes_needed(self) -> set[int]:
+        """Fixed nodes that a varying node or the return statement uses."""
+        needed = {i for n in self._nodes if not n.fixed for i in n.operands if self._nodes[i].fixed}
+        return needed | {i for i in self._results if self._nodes[i].fixed}
+
+    def _expression(self, node: _Node) -> str:
+        operands = [self._operand(self._nodes[i]) for i in node.operands]
+        table = _UNARY if len(operands) == 1 else _BINARY
+        try:
+            return table[node.operation].format(*operands)
+        except KeyError:
+            raise ValueError(
+                f"operation {node.operation} of the expression graph has no Python form; "
+                "see the tables in congelation.export.straight_line"
+            ) from None
+
+    def _operand(self, node: _Node) -> str:
+        loose = node.operation in _LOOSE or (
+            node.operation == ca.OP_CONST and node.text.startswith("-")
+        )
+        return f"({node.text})" if loose else node.text
+
+
+def _names_of(name: str, symbols: Sequence[ca.SX]) -> list[str]:
+    return [f"{name}{i + 1}" for i in range(len(symbols))]
+
+
+def _unbracketed(text: str) -> str:
+    """Without the outer brackets that a sum is written with."""
+    if not (text.startswith("(") and text.endswith(")")):
+        return text
+    depth = 0
+    for position, character in enumerate(text):
+        depth += (character == "(") - (character == ")")
+        if depth == 0 and position < len(text) - 1:
+            return text
+    return text[1:-1]

@@ -1,0 +1,12 @@
+from _shared.plant import Plant
+
+__all__ = ["ScalarPlant"]
+
+
+class ScalarPlant(Plant):
+    """The scalar plant (2)."""
+
+    # The wrapper drops a reference to this module's globals with every instance that it makes;
+    # this function, made anew each time, holds one. Without it the host crashes.
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
