@@ -1,0 +1,58 @@
+# A fresh machine needs Python >= 3.11, make and a C compiler; everything else is installed here,
+# into .venv, in the versions of requirements.lock.
+
+PYTHON ?= python3
+BIN := .venv/bin
+SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html') build_fmu.py
+
+.PHONY: help demo test check format bench fmus lock clean
+
+help:
+	@echo "make demo    Figs. 1-3 of the paper from FMUs, and a report of where they are"
+	@echo "make test    the whole test suite"
+	@echo "make check   format, lint, types, import layers"
+	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
+	@echo "make fmus    build the FMUs into fmus/"
+	@echo "make format  put the sources into the format that make check asks for"
+	@echo "make lock    resolve the dependencies anew into requirements.lock"
+	@echo "make clean   remove what was generated"
+
+.venv/installed: pyproject.toml requirements.lock
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python >= 3.11 is needed; set PYTHON=..")'
+	$(PYTHON) -m venv .venv
+	$(BIN)/pip install --quiet --disable-pip-version-check --requirement requirements.lock
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@touch $@
+
+fmus/manifest.json: .venv/installed $(SOURCES)
+	$(BIN)/python build_fmu.py
+
+fmus: fmus/manifest.json
+
+demo: fmus
+	$(BIN)/python -m congelation.demo
+
+test: fmus
+	$(BIN)/python -m pytest
+
+check: .venv/installed
+	$(BIN)/ruff format --check .
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+format: .venv/installed
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+bench: fmus
+	$(BIN)/python -m benchmarks
+
+lock:
+	$(PYTHON) -m venv build/lock
+	build/lock/bin/pip install --quiet uv
+	build/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --all-extras \
+		--no-emit-index-url --no-header --output-file requirements.lock pyproject.toml
+
+clean:
+	rm -rf .venv build results fmus/*.fmu fmus/manifest.json .mypy_cache .ruff_cache .pytest_cache
