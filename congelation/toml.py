@@ -1,0 +1,180 @@
+"""TOML tables that know where they stand, so that every complaint names the file and the path."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TypeVar
+
+from congelation.errors import InvalidInput, nearest
+
+__all__ = ["TIME_UNITS", "Section", "parse_document", "read_document"]
+
+T = TypeVar("T")
+
+TIME_UNITS: Mapping[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
+
+
+@dataclass(frozen=True)
+class Section:
+    """A table of a TOML file.
+
+    Parameters
+    ----------
+    file : str
+        The file, as messages name it.
+    path : str
+        The table inside it: ``experiment``, ``components.plant``; empty for the whole file.
+    data : mapping
+        Its keys and values.
+    elsewhere : mapping
+        Paths of the keys that were set in another place, e.g. by a variant.
+    """
+
+    file: str
+    path: str
+    data: Mapping[str, object]
+    elsewhere: Mapping[str, str] = field(default_factory=dict)
+
+    def at(self, key: str) -> str:
+        """The path of a key of this table; of the table itself where the key is empty."""
+        if not key:
+            return self.path
+        return self.elsewhere.get(key, f"{self.path}.{key}" if self.path else key)
+
+    def place(self, key: str) -> str:
+        """File and path of a key, for messages."""
+        return f"{self.file}: {self.at(key)}"
+
+    def error(self, key: str, text: str) -> InvalidInput:
+        """The error to raise about a key."""
+        return InvalidInput(f"{self.place(key)} {text}")
+
+    def wrong(self, key: str, valid: str) -> InvalidInput:
+        """The error to raise about a value that is not `valid`."""
+        return self.error(key, f"= {_shown(self.data[key])} is not valid; give {valid}")
+
+    def only(self, known: Iterable[str]) -> Section:
+        """This table, after checking that it has no keys but `known` ones."""
+        names = list(known)
+        for key in self.data:
+            if key not in names:
+                raise self.error(key, f"is not known here; {nearest(key, names)}")
+        return self
+
+    def require(self, *keys: str) -> Section:
+        """This table, after checking that it has all of `keys`."""
+        for key in keys:
+            if key not in self.data:
+                raise self.error(key, "is missing")
+        return self
+
+    def without(self, key: str) -> Section:
+        """This table less one key."""
+        return replace(self, data={k: v for k, v in self.data.items() if k != key})
+
+    def section(self, key: str) -> Section:
+        """The table under `key`; empty if there is none."""
+        value = self.data.get(key, {})
+        if not isinstance(value, Mapping):
+            raise self.wrong(key, "a table")
+        return Section(self.file, self.at(key), value)
+
+    def sections(self, key: str) -> Iterator[Section]:
+        """The tables of the array of tables under `key`."""
+        value = self.data.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(v, Mapping) for v in value):
+            raise self.wrong(key, f"an array of tables, [[{self.at(key)}]]")
+        for index, table in enumerate(value, start=1):
+            yield Section(self.file, f"{self.at(key)}[{index}]", table)
+
+    def subsections(self) -> Iterator[tuple[str, Section]]:
+        """The tables in this one, by key."""
+        for key in self.data:
+            yield key, self.section(key)
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """The string under `key`, or `default`; an error if neither is given."""
+        if key not in self.data:
+            if default is None:
+                raise self.error(key, "is missing; give a string")
+            return default
+        value = self.data[key]
+        if not isinstance(value, str) or not value.strip():
+            raise self.wrong(key, "a string")
+        return value
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """The array of strings under `key`; empty if there is none."""
+        value = self.data.get(key, [])
+        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+            raise self.wrong(key, "an array of strings")
+        return tuple(value)
+
+    def number(self, key: str, valid: str = "a number") -> float:
+        """The finite number under `key`."""
+        if key not in self.data:
+            raise self.error(key, f"is missing; give {valid}")
+        value = self.data[key]
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise self.wrong(key, valid)
+        if not math.isfinite(value):
+            raise self.wrong(key, valid)
+        return float(value)
+
+    def seconds(self, key: str) -> float:
+        """The time under `key`: a number of seconds, or {value = 2, unit = "ms"}."""
+        valid = 'a number of seconds, or {value = .., unit = ".."}'
+        if not isinstance(self.data.get(key), Mapping):
+            return self.number(key, valid)
+        quantity = self.section(key).only(("value", "unit")).require("value", "unit")
+        unit = quantity.text("unit")
+        if unit not in TIME_UNITS:
+            raise quantity.error("unit", f"= '{unit}' is no time; {nearest(unit, TIME_UNITS)}")
+        return quantity.number("value") * TIME_UNITS[unit]
+
+    def attempt(self, key: str, action: Callable[[], T]) -> T:
+        """The result of `action`; what it says of bad input gets this key's file and path."""
+        try:
+            return action()
+        except ValueError as error:
+            raise InvalidInput(f"{self.place(key)}: {error}") from error
+
+
+def read_document(file: Path) -> tuple[str, Section]:
+    """The text of a TOML file, and its outermost table.
+
+    Raises
+    ------
+    InvalidInput
+        If the file cannot be read or is not TOML.
+    """
+    try:
+        text = file.read_text(encoding="utf-8")
+    except FileNotFoundError as error:
+        raise InvalidInput(f"{file}: no such file; {_neighbours(file)}") from error
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidInput(f"{file}: cannot be read as UTF-8 text ({error})") from error
+    return text, parse_document(text, str(file))
+
+
+def parse_document(text: str, name: str) -> Section:
+    """The outermost table of a TOML text; `name` is what messages call it."""
+    try:
+        return Section(name, "", tomllib.loads(text))
+    except tomllib.TOMLDecodeError as error:
+        raise InvalidInput(f"{name}: not valid TOML: {error}") from error
+
+
+def _neighbours(file: Path) -> str:
+    names = [p.name for p in sorted(file.parent.glob("*.toml"))] if file.parent.is_dir() else []
+    return nearest(file.name, names) if names else "give the path of a scenario (.toml)"
+
+
+def _shown(value: object, limit: int = 60) -> str:
+    text = f"'{value}'" if isinstance(value, str) else repr(value)
+    text = {"True": "true", "False": "false"}.get(text, text)
+    return text if len(text) <= limit else text[: limit - 3] + "..."

@@ -1,0 +1,120 @@
+"""Sections of TOML files: every complaint names the file, the path and what would be valid."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from congelation.errors import InvalidInput
+from congelation.toml import Section, parse_document, read_document
+
+TEXT = """
+title = "A title"
+blank = " "
+number = 3
+flag = true
+huge = inf
+names = ["a", "b"]
+mixed = ["a", 1]
+time = {value = 20, unit = "ms"}
+year = {value = 1, unit = "sec"}
+half = {value = 1}
+[table]
+key = -1.5
+[[list]]
+name = "first"
+[[list]]
+nmae = "second"
+"""
+
+
+@pytest.fixture
+def document() -> Section:
+    return parse_document(TEXT, "a.toml")
+
+
+def test_values_are_read(document: Section) -> None:
+    assert document.text("title") == "A title"
+    assert document.text("absent", "default") == "default"
+    assert document.number("number") == 3.0
+    assert isinstance(document.number("number"), float)
+    assert document.texts("names") == ("a", "b")
+    assert document.texts("absent") == ()
+    assert document.seconds("number") == 3.0
+    assert document.seconds("time") == 0.02
+    assert document.section("table").number("key") == -1.5
+    assert dict(document.section("absent").data) == {}
+    assert [s.path for s in document.sections("list")] == ["list[1]", "list[2]"]
+
+
+@pytest.mark.parametrize(
+    ("read", "message"),
+    [
+        (lambda d: d.text("number"), "a.toml: number = 3 is not valid; give a string"),
+        (lambda d: d.text("blank"), "a.toml: blank = ' ' is not valid; give a string"),
+        (lambda d: d.text("absent"), "a.toml: absent is missing; give a string"),
+        (lambda d: d.number("flag"), "a.toml: flag = true is not valid; give a number"),
+        (lambda d: d.number("huge"), "a.toml: huge = inf is not valid; give a number"),
+        (lambda d: d.number("absent"), "a.toml: absent is missing; give a number"),
+        (lambda d: d.section("title"), "a.toml: title = 'A title' is not valid; give a table"),
+        (
+            lambda d: d.texts("mixed"),
+            "a.toml: mixed = ['a', 1] is not valid; give an array of strings",
+        ),
+        (
+            lambda d: list(d.sections("table")),
+            "a.toml: table = {'key': -1.5} is not valid; give an array of tables, [[table]]",
+        ),
+        (
+            lambda d: d.seconds("year"),
+            "a.toml: year.unit = 'sec' is no time; did you mean 's'?",
+        ),
+        (lambda d: d.seconds("half"), "a.toml: half.unit is missing"),
+        (
+            lambda d: d.section("table").only(["kye", "other"]),
+            "a.toml: table.key is not known here; did you mean 'kye'?",
+        ),
+        (
+            lambda d: [s.only(["name"]) for s in d.sections("list")],
+            "a.toml: list[2].nmae is not known here; did you mean 'name'?",
+        ),
+        (lambda d: d.section("table").require("key", "lock"), "a.toml: table.lock is missing"),
+        (lambda d: d.attempt("number", lambda: int("x")), "a.toml: number: invalid literal"),
+    ],
+)
+def test_mistakes_are_told_with_their_place(
+    document: Section, read: Callable[[Section], object], message: str
+) -> None:
+    with pytest.raises(InvalidInput) as told:
+        read(document)
+    assert str(told.value).startswith(message)
+    assert "\n" not in str(told.value)
+
+
+def test_a_key_set_elsewhere_is_told_with_that_place() -> None:
+    section = Section("a.toml", "experiment", {"step": "x"}, {"step": "variants[1].set.step"})
+    with pytest.raises(InvalidInput, match=r"^a\.toml: variants\[1\]\.set\.step = 'x' is not"):
+        section.number("step")
+
+
+def test_long_values_are_cut_in_messages() -> None:
+    with pytest.raises(InvalidInput) as told:
+        Section("a.toml", "", {"key": "x" * 500}).number("key")
+    assert len(str(told.value)) < 120
+
+
+def test_unreadable_files(tmp_path: Path) -> None:
+    (tmp_path / "fig2.toml").write_text("title = x")
+    (tmp_path / "latin.toml").write_bytes(b'title = "\xe9"')
+    with pytest.raises(InvalidInput, match=r"fig22\.toml: no such file; did you mean 'fig2\.toml'"):
+        read_document(tmp_path / "fig22.toml")
+    with pytest.raises(InvalidInput, match=r"fig2\.toml: not valid TOML: .* line 1"):
+        read_document(tmp_path / "fig2.toml")
+    with pytest.raises(InvalidInput, match=r"latin\.toml: cannot be read as UTF-8 text"):
+        read_document(tmp_path / "latin.toml")
+    with pytest.raises(InvalidInput, match="cannot be read as UTF-8 text"):
+        read_document(tmp_path)
+    with pytest.raises(InvalidInput, match=r"give the path of a scenario \(\.toml\)"):
+        read_document(tmp_path / "absent" / "fig2.toml")
