@@ -98,6 +98,7 @@ class OutputFeedbackDesign:
     symbols: OutputFeedbackSymbols
     filter: KFilter
     adaptation: Adaptation
+    rho_adaptation: Adaptation
     steps: tuple[OutputFeedbackStep, ...] = ()
 
     @property
@@ -173,7 +174,8 @@ def output_feedback_design(
         k=vector("k", n, "Injection gain k = X e_1 / 2 of Theorem 1"),
     )
     law = adaptation(symbols.theta_hat, symbols.Gamma.symbol, rho)
-    design = OutputFeedbackDesign(symbols, k_filter, law)
+    rho_law = law.companion(symbols.rho_hat, symbols.gamma.symbol)
+    design = OutputFeedbackDesign(symbols, k_filter, law, rho_law)
     design = replace(design, steps=(_first_step(design),))
     for _ in range(rho - 1):
         design = replace(design, steps=(*design.steps, _later_step(design)))
@@ -215,8 +217,9 @@ def _alphabar_1(design: OutputFeedbackDesign) -> ca.SX:
 
 def _rho_hat_rate(design: OutputFeedbackDesign) -> ca.SX:
     """rho_hat' = -gamma sgn(b_m) alphabar_1 z_1, (54)."""
-    symbols = design.symbols
-    return -symbols.gamma.symbol * symbols.sign_b_m.symbol * _alphabar_1(design) * symbols.y.symbol
+    symbols, law, z_1 = design.symbols, design.rho_adaptation, design.symbols.y.symbol
+    regressor = law.regressor(-symbols.sign_b_m.symbol * _alphabar_1(design), z_1)
+    return symbols.gamma.symbol * law.rate(regressor * z_1)
 
 
 def _first_step(design: OutputFeedbackDesign) -> OutputFeedbackStep:
@@ -324,6 +327,7 @@ def output_feedback_model(design: OutputFeedbackDesign) -> Model:
             Parameter(symbols.certified, (1.0,), Domain.BOOLEAN),
             Parameter(symbols.sign_b_m, (1.0,), Domain.SIGN),
             *design.adaptation.parameters,
+            *design.rho_adaptation.parameters,
         ),
         gains=(Gain(k_filter.k, "iss_filter_gain", ("r", "epsilon"), {"n": n}),),
         outputs=(
