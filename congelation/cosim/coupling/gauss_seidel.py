@@ -1,0 +1,64 @@
+"""Held inputs, one slave after the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from congelation.cosim.coupling.base import Coupling, Stepper
+from congelation.cosim.coupling.monitor import HeldError
+from congelation.cosim.ensemble import Ensemble
+from congelation.cosim.exchange import Exchange
+
+__all__ = ["GaussSeidel"]
+
+
+@dataclass(frozen=True)
+class GaussSeidel(Coupling):
+    """Slaves step in the declared order of the components, each with its inputs held at the newest
+    values there are: those at the end of the step from components before it, those at the start
+    from itself and the ones after it.
+
+    Order 1, with a smaller error than `jacobi`.
+    """
+
+    name: ClassVar[str] = "gauss_seidel"
+    needs_derivatives: ClassVar[bool] = False
+    lands_on_events: ClassVar[bool] = False
+
+    def stepper(self, ensemble: Ensemble, exchange: Exchange) -> Stepper:
+        """This coupling at work."""
+        return _GaussSeidelStepper(ensemble)
+
+
+class _GaussSeidelStepper(Stepper):
+    def __init__(self, ensemble: Ensemble) -> None:
+        self._ensemble = ensemble
+        self._slaves = [
+            (ensemble.hold[m], slave.step, ensemble.read[m])
+            for m, slave in enumerate(ensemble.slaves)
+        ]
+        self._discrete = bool(ensemble.system.discrete_links)
+        held = sum(map(bool, ensemble.write_calls))
+        self._calls_per_sweep = held + len(self._slaves) + sum(ensemble.read_calls)
+        self._error = HeldError(ensemble)
+        self.sweeps = 0
+
+    def start(self, time: float) -> None:
+        self._error.watch()
+
+    def advance(self, time: float, end: float) -> None:
+        length = end - time
+        for hold, step, read in self._slaves:
+            hold()
+            if self._discrete:
+                self._ensemble.copy_discrete()
+            step(time, length)
+            read()
+        self._error.watch()
+        self.sweeps += 1
+
+    def finish(self) -> None:
+        self._error.flush()
+        self.estimated_error = self._error.largest
+        self.calls = self.sweeps * self._calls_per_sweep

@@ -1,0 +1,235 @@
+"""Making inputs agree with the outputs that drive them, at one point of time.
+
+Where outputs follow directly from inputs (feedthrough), setting one input changes other outputs.
+The declared dependencies give the order in which values are carried over; those that depend on
+each other form an algebraic loop, which is solved.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.cosim.broyden import Broyden
+from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.graph import strong_components
+from congelation.cosim.result import RunEnded, Status
+from congelation.cosim.system import derivative_name
+
+__all__ = ["Exchange"]
+
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+LOOP_TOLERANCE = 1e-11
+"""Agreement asked of a loop, relative to nominal value plus size: what double precision leaves
+after a few operations."""
+
+MAX_ITERATIONS = 50
+"""Of one loop: an affine loop of 25 values still has its 2 n iterations."""
+
+
+@dataclass(frozen=True)
+class Wire:
+    """A value (order 0) or derivative (order 1) of a link, carried from Y to C."""
+
+    order: int
+    link: int
+    place: int
+
+
+@dataclass(frozen=True)
+class Block:
+    """Wires that can be carried over together.
+
+    Parameters
+    ----------
+    sources, targets : tuple of int
+        Slaves to read first, and to set afterwards.
+    places, slots : integer arrays, shape (k,)
+        Where the values of the k wires stand in Y, and go in C (flattened).
+    loop : bool
+        Whether the values depend on themselves.
+    """
+
+    sources: tuple[int, ...]
+    targets: tuple[int, ...]
+    places: Indices
+    slots: Indices
+    wires: tuple[Wire, ...]
+    loop: bool
+
+
+class Exchange:
+    """Carries outputs over to inputs until they agree.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+        Its C is written: rows 0 and 1 (rows 2 and 3 are set to zero).
+
+    Attributes
+    ----------
+    calls : int
+        fmi2 calls made so far.
+    loops : tuple of str
+        Each algebraic loop as the names of its connections.
+    """
+
+    def __init__(self, ensemble: Ensemble) -> None:
+        self._ensemble = ensemble
+        self._wires = _wires(ensemble)
+        self.blocks = _blocks(ensemble, self._wires)
+        self.loops = tuple(self._names(block) for block in self.blocks if block.loop)
+        self.calls = 0
+
+    @property
+    def feedthrough(self) -> bool:
+        """Whether some value depends on another, so that copying once is not enough."""
+        return any(block.loop for block in self.blocks) or len(self.blocks) > 1
+
+    def run(self, time: float) -> None:
+        """Make inputs and outputs agree; reads and sets as often as the dependencies need.
+
+        Raises
+        ------
+        RunEnded
+            LOOP_UNSOLVED; the message names the connections of the loop.
+        SlaveError
+        """
+        ensemble = self._ensemble
+        ensemble.C[2:] = 0.0
+        ensemble.copy_discrete()
+        for block in self.blocks:
+            self._read(block)
+            values = ensemble.Y[block.places]
+            self._send(block, values)
+            if block.loop:
+                self._solve(block, values, time)
+        for m, read in enumerate(ensemble.read):
+            read()
+            self.calls += ensemble.read_calls[m]
+
+    def settle(self, time: float) -> None:
+        """Run, and again while that changes anything: for initialisation, where an output may
+        depend on an input in ways that the FMU declares for initialisation only.
+
+        Raises
+        ------
+        RunEnded
+            LOOP_UNSOLVED.
+        SlaveError
+        """
+        places = np.array([wire.place for wire in self._wires], np.intp)
+        before = np.full(len(places), np.nan)
+        for _ in range(len(self._wires) + 2):
+            self.run(time)
+            self._ensemble.check(time)
+            after = self._ensemble.Y[places]
+            if np.array_equal(before, after) or self._agree(after - before, after, self._wires):
+                return
+            before = after
+        raise RunEnded(
+            Status.LOOP_UNSOLVED,
+            f"at t = {time:.9g}: initial values keep changing "
+            f"around {'; '.join(self.loops) or self._all_names()}",
+        )
+
+    def _solve(self, block: Block, z: Floats, time: float) -> None:
+        """Fixed point first, quasi-Newton from the second iteration on."""
+        method = Broyden(len(z))
+        for _ in range(MAX_ITERATIONS):
+            self._read(block)
+            residual = self._ensemble.Y[block.places] - z
+            if not np.isfinite(residual).all():
+                break
+            if self._agree(residual, z, block.wires):
+                return
+            z = method.step(z, residual)
+            self._send(block, z)
+        raise RunEnded(
+            Status.LOOP_UNSOLVED,
+            f"at t = {time:.9g}: no solution of the algebraic loop {self._names(block)}",
+        )
+
+    def _agree(self, residual: Floats, z: Floats, wires: Sequence[Wire]) -> bool:
+        nominal = self._ensemble.nominal[[wire.link for wire in wires]]
+        return bool((np.abs(residual) <= LOOP_TOLERANCE * (nominal + np.abs(z))).all())
+
+    def _read(self, block: Block) -> None:
+        for m in block.sources:
+            self._ensemble.read[m]()
+            self.calls += self._ensemble.read_calls[m]
+
+    def _send(self, block: Block, values: Floats) -> None:
+        self._ensemble.C.reshape(-1)[block.slots] = values
+        for m in block.targets:
+            self._ensemble.write[m]()
+            self.calls += self._ensemble.write_calls[m]
+
+    def _names(self, block: Block) -> str:
+        names = dict.fromkeys(self._ensemble.links[wire.link].name for wire in block.wires)
+        return ", ".join(names)
+
+    def _all_names(self) -> str:
+        return ", ".join(link.name for link in self._ensemble.links)
+
+
+def _wires(ensemble: Ensemble) -> list[Wire]:
+    values = [Wire(0, k, int(place)) for k, place in enumerate(ensemble.source)]
+    derivatives = [
+        Wire(1, k, int(place))
+        for k, place in enumerate(ensemble.source_derivative)
+        if place != NO_DERIVATIVE
+    ]
+    return values + derivatives
+
+
+def _follows(ensemble: Ensemble, first: Wire, second: Wire) -> bool:
+    """Whether the value on `second` depends directly on the input that `first` sets."""
+    into, out = ensemble.links[first.link], ensemble.links[second.link]
+    if into.target != out.source or ensemble.order[first.link] < first.order:
+        return False
+    known = ensemble.system.members[out.source].description.dependencies
+    output = out.output.name if second.order == 0 else derivative_name(out.output.name, 1)
+    depends_on = known.get(output)
+    if depends_on is None:
+        return True  # undeclared: FMI 2.0 takes it to depend on every input
+    name = into.input.name
+    return (name if first.order == 0 else derivative_name(name, 1)) in depends_on
+
+
+def _blocks(ensemble: Ensemble, wires: Sequence[Wire]) -> list[Block]:
+    """Loops one by one, and between them as many wires at a time as the order allows."""
+    successors = {
+        a: [b for b, second in enumerate(wires) if _follows(ensemble, first, second)]
+        for a, first in enumerate(wires)
+    }
+    level: dict[int, int] = {}
+    groups: dict[tuple[int, int], list[int]] = {}
+    for number, component in enumerate(strong_components(successors), 1):
+        loop = len(component) > 1 or component[0] in successors[component[0]]
+        depth = max((level.get(node, 0) for node in component), default=0)
+        for node in component:
+            for after in successors[node]:
+                level[after] = max(level.get(after, 0), depth + 1)
+        groups.setdefault((depth, number if loop else 0), []).extend(component)
+    return [
+        _block(ensemble, [wires[node] for node in group], loop=key[1] > 0)
+        for key, group in sorted(groups.items())
+    ]
+
+
+def _block(ensemble: Ensemble, wires: Sequence[Wire], *, loop: bool) -> Block:
+    links = [ensemble.links[wire.link] for wire in wires]
+    return Block(
+        sources=tuple(sorted({link.source for link in links})),
+        targets=tuple(sorted({link.target for link in links})),
+        places=np.array([wire.place for wire in wires], np.intp),
+        slots=np.array([wire.order * len(ensemble.links) + wire.link for wire in wires], np.intp),
+        wires=tuple(wires),
+        loop=loop,
+    )

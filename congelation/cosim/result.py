@@ -1,0 +1,129 @@
+"""What a run leaves behind: its status, its rows and what it cost."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.errors import InvalidInput, nearest
+
+__all__ = ["Result", "RunEnded", "Statistics", "Status"]
+
+
+class Status(Enum):
+    """How a run ended; each value is a sentence, and a remedy where one is needed."""
+
+    COMPLETED = "The run reached its stop time."
+    SLAVE_FAILED = (
+        "An FMU refused a call; correct what its message names, or shorten the communication step."
+    )
+    NON_FINITE = (
+        "A value became infinite or nan; shorten the communication step, or use the coupling "
+        "'hermite' with a tolerance."
+    )
+    DIVERGED = (
+        "A value passed 1e100; the loop is unstable as designed or as coupled: check the gains, "
+        "shorten the communication step, or use the coupling 'hermite' with a tolerance."
+    )
+    NOT_CONVERGED = (
+        "The sweeps over a macro step did not converge; shorten the communication step, or give "
+        "a tolerance so that it is chosen for you."
+    )
+    LOOP_UNSOLVED = (
+        "An algebraic loop could not be solved; give start values nearer to its solution, or "
+        "break the loop with a component that has a state."
+    )
+    STEP_TOO_SMALL = (
+        "The tolerance asks for communication steps below the resolution of time; loosen it, or "
+        "look for a jump that no component announces."
+    )
+
+
+class RunEnded(Exception):
+    """A numerical outcome on its way to the result."""
+
+    def __init__(self, status: Status, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+        self.message = message
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """What a run took.
+
+    Parameters
+    ----------
+    macro_steps : int
+        Communication steps accepted.
+    rejected : int
+        Steps taken back because their estimated error was too large, or the sweeps did not
+        converge.
+    sweeps : int
+        Passes over all components, rejected steps included.
+    fmi_calls : int
+        Calls of fmi2 functions during the stepping loop.
+    events : int
+        Announced jumps on which a communication point was placed.
+    estimated_error : float
+        Largest estimated distance of an input, while its FMU stepped, from the output that
+        drives it, relative to the input's nominal value plus its size.
+    wall_time : float
+        Seconds, initialisation included.
+    """
+
+    macro_steps: int = 0
+    rejected: int = 0
+    sweeps: int = 0
+    fmi_calls: int = 0
+    events: int = 0
+    estimated_error: float = 0.0
+    wall_time: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """The rows of a run, and how it ended.
+
+    Parameters
+    ----------
+    status : Status
+    message : str
+        One line: the status in the words of this run (component, time, reason).
+    time : array, shape (N,)
+        Communication points in seconds; the first is the start time.
+    columns : tuple of str, length M
+        "component.variable".
+    values : array, shape (N, M)
+        Row k holds the values at time[k].
+    statistics : Statistics
+    file : Path or None
+        Where the rows were written, if the run recorded to disk; `time` and `values` then hold
+        the last row alone.
+    """
+
+    status: Status
+    message: str
+    time: npt.NDArray[np.float64]
+    columns: tuple[str, ...]
+    values: npt.NDArray[np.float64]
+    statistics: Statistics
+    file: Path | None = None
+
+    @property
+    def completed(self) -> bool:
+        """Whether the run reached its stop time."""
+        return self.status is Status.COMPLETED
+
+    def column(self, name: str) -> npt.NDArray[np.float64]:
+        """The values of one variable, shape (N,); of a vector by its bare name, shape (N, n)."""
+        if name in self.columns:
+            return self.values[:, self.columns.index(name)]
+        elements = [k for k, c in enumerate(self.columns) if c.rpartition("[")[0] == name]
+        if not elements:
+            raise InvalidInput(f"no column '{name}'; {nearest(name, self.columns)}")
+        return self.values[:, elements]

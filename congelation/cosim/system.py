@@ -1,0 +1,345 @@
+"""A coupled system: components, start values and connections, by name.
+
+Describing loads no binary: every name, type and causality is checked against the model
+descriptions alone, so a mistake is found before anything runs.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from congelation.cosim.description import Description, Variable, describe
+from congelation.cosim.start import StartValue, resolve_start
+from congelation.errors import InvalidInput, nearest
+
+__all__ = [
+    "MAX_DERIVATIVE",
+    "Component",
+    "Connection",
+    "Link",
+    "Member",
+    "Recorded",
+    "ResolvedSystem",
+    "System",
+    "derivative_name",
+]
+
+MAX_DERIVATIVE = 3
+"""Highest derivative that an input takes: cubic polynomials."""
+
+
+@dataclass(frozen=True)
+class Component:
+    """One FMU in a system.
+
+    Parameters
+    ----------
+    name : str
+        Name in the system; no dots or blanks.
+    fmu : Path
+        The .fmu file.
+    start : mapping of str to object
+        Start values: numbers, booleans and strings for scalar variables, nested lists or arrays
+        for vectors and matrices (``x0 = [2, -1]`` sets x0[1] and x0[2]).
+    """
+
+    name: str
+    fmu: Path
+    start: Mapping[str, object] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Connection:
+    """An output that drives an input, each written "component.variable".
+
+    A vector's name stands for all of its elements: "plant.x" to "controller.x" connects x[1] to
+    x[1], and so on.
+    """
+
+    source: str
+    target: str
+
+    @classmethod
+    def parse(cls, text: str) -> Connection:
+        """Read ``"plant.x -> controller.x"``."""
+        parts = [part.strip() for part in text.split("->")]
+        if len(parts) != 2 or not all(parts):
+            raise InvalidInput(f"connection '{text}': write it as 'plant.x -> controller.x'")
+        return cls(*parts)
+
+    def __str__(self) -> str:
+        return f"{self.source} -> {self.target}"
+
+
+@dataclass(frozen=True)
+class Member:
+    """A component with its description read and its start values checked."""
+
+    name: str
+    description: Description
+    start: tuple[StartValue, ...]
+
+
+@dataclass(frozen=True)
+class Link:
+    """One scalar connection between members, given by their places in the system.
+
+    Parameters
+    ----------
+    source_derivatives, target_derivatives : tuple of (Variable or None), length MAX_DERIVATIVE
+        The outputs der(source), der(source,2), .. and the inputs der(target), .. of order 1, 2, 3
+        that exist.
+    """
+
+    source: int
+    output: Variable
+    target: int
+    input: Variable
+    name: str
+    source_derivatives: tuple[Variable | None, ...]
+    target_derivatives: tuple[Variable | None, ...]
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A variable to record: its member's place, and the column's name."""
+
+    member: int
+    variable: Variable
+    name: str
+
+
+@dataclass(frozen=True)
+class ResolvedSystem:
+    """A system whose every name has been found.
+
+    Parameters
+    ----------
+    links : tuple of Link
+        Connections between Real variables.
+    discrete_links : tuple of Link
+        Connections between Integer, Boolean and String variables; they are copied at
+        communication points, whatever the coupling.
+    """
+
+    members: tuple[Member, ...]
+    links: tuple[Link, ...]
+    discrete_links: tuple[Link, ...]
+
+    def recorded(self, names: Sequence[str] | None) -> tuple[Recorded, ...]:
+        """The variables to record; with None, every number among the outputs.
+
+        Raises
+        ------
+        InvalidInput
+            A name that does not exist, or a String.
+        """
+        if names is None:
+            return tuple(
+                Recorded(place, variable, f"{member.name}.{variable.name}")
+                for place, member in enumerate(self.members)
+                for variable in member.description.variables.values()
+                if variable.causality == "output"
+                and variable.type != "String"
+                and not variable.name.startswith("der(")
+                and variable.name != "next_event"
+            )
+        found: dict[str, Recorded] = {}
+        for name in names:
+            place, local = _split(name, [m.name for m in self.members], f"record '{name}'")
+            for variable in _elements(self.members[place].description, local, f"record '{name}'"):
+                if variable.type == "String":
+                    raise InvalidInput(f"record '{name}': a String cannot be recorded")
+                column = f"{self.members[place].name}.{variable.name}"
+                found[column] = Recorded(place, variable, column)
+        return tuple(found.values())
+
+
+@dataclass(frozen=True)
+class System:
+    """Components and the connections between them."""
+
+    components: tuple[Component, ...]
+    connections: tuple[Connection, ...] = ()
+
+    def resolve(self) -> ResolvedSystem:
+        """Find every name.
+
+        Raises
+        ------
+        InvalidInput
+            A missing FMU, an unknown name (the nearest valid one is named), a connection of the
+            wrong causality or type, an input driven twice, a start value that does not fit.
+        """
+        names = [component.name for component in self.components]
+        _check_names(names)
+        members = tuple(_member(component) for component in self.components)
+        once = [m for m in members if m.description.once_per_process]
+        for member in once:
+            if sum(m.description.sha256 == member.description.sha256 for m in once) > 1:
+                raise InvalidInput(
+                    f"component '{member.name}': {member.description.path.name} "
+                    "can be instantiated only once per process"
+                )
+        links = [
+            link for connection in self.connections for link in _links(connection, members, names)
+        ]
+        links = _without_implied(links)
+        _check_single_source(links)
+        return ResolvedSystem(
+            members,
+            tuple(link for link in links if link.input.type == "Real"),
+            tuple(link for link in links if link.input.type != "Real"),
+        )
+
+
+def derivative_name(name: str, order: int) -> str:
+    """The name of the derivative variable of `order`: der(v), der(v,2), der(v,3)."""
+    return f"der({name})" if order == 1 else f"der({name},{order})"
+
+
+def _check_names(names: Sequence[str]) -> None:
+    if not names:
+        raise InvalidInput("a system needs at least one component")
+    for name in names:
+        if not name or re.search(r"[.\s]", name):
+            raise InvalidInput(f"component '{name}': a name without dots and blanks is needed")
+        if names.count(name) > 1:
+            raise InvalidInput(f"component '{name}' is given twice; names must differ")
+
+
+def _member(component: Component) -> Member:
+    place = f"component '{component.name}'"
+    try:
+        description = describe(component.fmu)
+    except InvalidInput as error:
+        raise InvalidInput(f"{place}: {error}") from error
+    return Member(component.name, description, resolve_start(description, component.start, place))
+
+
+def _split(name: str, components: Sequence[str], place: str) -> tuple[int, str]:
+    """The component's place and the variable's name in "component.variable"."""
+    component, dot, variable = name.partition(".")
+    if not dot or not variable:
+        raise InvalidInput(f"{place}: write it as 'component.variable'")
+    if component not in components:
+        raise InvalidInput(f"{place}: no component '{component}'; {nearest(component, components)}")
+    return components.index(component), variable
+
+
+def _elements(description: Description, name: str, place: str) -> tuple[Variable, ...]:
+    """The scalar variables that `name` stands for: itself, or all elements of a vector."""
+    if name in description.variables:
+        return (description.variables[name],)
+    elements = tuple(
+        variable
+        for other, variable in description.variables.items()
+        if other.startswith(f"{name}[") and other.endswith("]") and "]" not in other[len(name) : -1]
+    )
+    return elements or (description.variable(name, place),)
+
+
+def _links(
+    connection: Connection, members: Sequence[Member], names: Sequence[str]
+) -> Iterable[Link]:
+    place = f"connection '{connection}'"
+    source, output_name = _split(connection.source, names, place)
+    target, input_name = _split(connection.target, names, place)
+    outputs = _elements(members[source].description, output_name, place)
+    inputs = _elements(members[target].description, input_name, place)
+    for output, input_ in _pairs(outputs, output_name, inputs, input_name, place):
+        _check_pair(output, input_, place)
+        yield Link(
+            source,
+            output,
+            target,
+            input_,
+            f"{names[source]}.{output.name} -> {names[target]}.{input_.name}",
+            _derivatives(members[source].description, output, "output"),
+            _derivatives(members[target].description, input_, "input"),
+        )
+
+
+def _pairs(
+    outputs: Sequence[Variable],
+    output_name: str,
+    inputs: Sequence[Variable],
+    input_name: str,
+    place: str,
+) -> Iterable[tuple[Variable, Variable]]:
+    """Match the elements of two vectors by their indices."""
+    if len(outputs) == len(inputs) == 1:
+        return [(outputs[0], inputs[0])]
+    by_index = {variable.name[len(input_name) :]: variable for variable in inputs}
+    if sorted(by_index) != sorted(variable.name[len(output_name) :] for variable in outputs):
+        raise InvalidInput(
+            f"{place}: {len(outputs)} outputs for {len(inputs)} inputs; the indices must agree"
+        )
+    return [(variable, by_index[variable.name[len(output_name) :]]) for variable in outputs]
+
+
+def _check_pair(output: Variable, input_: Variable, place: str) -> None:
+    if output.causality not in ("output", "local"):
+        raise InvalidInput(
+            f"{place}: '{output.name}' is of causality {output.causality}; "
+            "the source must be an output"
+        )
+    if input_.causality != "input":
+        raise InvalidInput(
+            f"{place}: '{input_.name}' is of causality {input_.causality}; "
+            "the target must be an input"
+        )
+    if output.type != input_.type:
+        raise InvalidInput(
+            f"{place}: '{output.name}' is {output.type} and '{input_.name}' is "
+            f"{input_.type}; the types must agree"
+        )
+
+
+def _derivatives(
+    description: Description, variable: Variable, causality: str
+) -> tuple[Variable | None, ...]:
+    found = (
+        description.variables.get(derivative_name(variable.name, order))
+        for order in range(1, MAX_DERIVATIVE + 1)
+    )
+    return tuple(
+        v if v is not None and v.causality == causality and v.type == "Real" else None
+        for v in found
+    )
+
+
+def _without_implied(links: Sequence[Link]) -> list[Link]:
+    """Leave out connections of derivatives that follow from those of the values anyway."""
+    implied = {
+        (link.source, output, link.target, input_)
+        for link in links
+        for output, input_ in zip(link.source_derivatives, link.target_derivatives, strict=True)
+        if output is not None and input_ is not None
+    }
+    return [
+        link for link in links if (link.source, link.output, link.target, link.input) not in implied
+    ]
+
+
+def _check_single_source(links: Sequence[Link]) -> None:
+    seen: dict[tuple[int, str], Link] = {}
+    for link in links:
+        key = (link.target, link.input.name)
+        if key in seen:
+            raise InvalidInput(
+                f"connection '{link.name}': the input is driven already by "
+                f"'{seen[key].name}'; an input takes one source"
+            )
+        seen[key] = link
+    for link in links:
+        for variable in link.target_derivatives:
+            if variable is not None and (link.target, variable.name) in seen:
+                other = seen[link.target, variable.name]
+                raise InvalidInput(
+                    f"connection '{other.name}': the coupling drives this input "
+                    f"along with '{link.name}'; leave the connection out"
+                )
