@@ -36,10 +36,11 @@ _FUNCTIONS = ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh", "copysign", "at
 
 def equations_module(model: Model) -> str:
     """The source of the module of `model`'s equations; it imports `math` alone."""
+    groups = [p.variables for p in model.parameters] + [g.variables for g in model.gains]
     constants = [
         (_python_name(name), symbol)
-        for group in (*model.parameters, *model.gains)
-        for name, symbol in zip(group.variables.names, group.variables.elements, strict=True)
+        for group in groups
+        for name, symbol in zip(group.names, group.elements, strict=True)
     ]
     body = constants_and_functions(constants, _blocks(model))
     states = sum(len(s.variables.names) for s in model.states)

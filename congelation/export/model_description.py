@@ -50,7 +50,8 @@ def complete(xml: bytes, interface: Interface, digest: str, tool: str) -> bytes:
     _complete_variables(_child(root, "ModelVariables"), interface.variables)
     _replace_structure(_child(root, "ModelStructure"), interface.variables)
     ElementTree.indent(root)
-    return ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True) + b"\n"
+    text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
+    return text + b"\n"
 
 
 def _child(root: ElementTree.Element, tag: str) -> ElementTree.Element:
@@ -68,9 +69,7 @@ def _units(variables: Iterable[ScalarVariable]) -> ElementTree.Element:
     return definitions
 
 
-def _complete_variables(
-    parent: ElementTree.Element, variables: Iterable[ScalarVariable]
-) -> None:
+def _complete_variables(parent: ElementTree.Element, variables: Iterable[ScalarVariable]) -> None:
     """Units, and start values in as many digits as they need: pythonfmu writes 16, one too few."""
     for element, variable in zip(parent, variables, strict=True):
         if variable.type != "Real":
@@ -82,7 +81,9 @@ def _complete_variables(
             real.set("start", repr(float(variable.start)))
 
 
-def _replace_structure(structure: ElementTree.Element, variables: tuple[ScalarVariable, ...]) -> None:
+def _replace_structure(
+    structure: ElementTree.Element, variables: tuple[ScalarVariable, ...]
+) -> None:
     """Outputs with their inputs, InitialUnknowns with all that they follow from."""
     structure.clear()
     index = {v.name: i for i, v in enumerate(variables, start=1)}

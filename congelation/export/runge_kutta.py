@@ -68,9 +68,7 @@ def _number(fraction: str) -> str:
 
 def _combination(weights: tuple[str, ...], i: int) -> str:
     """sum_j weights_j k_j of component i, zero weights left out."""
-    terms = [
-        f"{_number(w)} * k{j}_{i}" for j, w in enumerate(weights, start=1) if w != "0"
-    ]
+    terms = [f"{_number(w)} * k{j}_{i}" for j, w in enumerate(weights, start=1) if w != "0"]
     return " + ".join(terms).replace("+ -", "- ")
 
 

@@ -1,22 +1,22 @@
 """A spec: the plant and the controller to build FMUs of, read from TOML.
 
-    title = "System (60) with state feedback"
-    form = "strict-feedback"
+title = "System (60) with state feedback"
+form = "strict-feedback"
 
-    [structure]                     # what the form is derived from
-    n = 2
-    p = 2
-    phibar = {"1,1" = [-1, 0], "2,1" = [0, -1]}
+[structure]                     # what the form is derived from
+n = 2
+p = 2
+phibar = {"1,1" = [-1, 0], "2,1" = [0, -1]}
 
-    [plant]
-    name = "StrictFeedbackPlant"    # of the FMU
-    start = {x0 = [2, -1]}          # defaults of its parameters
-    [plant.profile]                 # default theta(t)
-    "theta[1]" = [{constant = -3}, {sine = {amplitude = 0.6, omega = 0.4}}]
+[plant]
+name = "StrictFeedbackPlant"    # of the FMU
+start = {x0 = [2, -1]}          # defaults of its parameters
+[plant.profile]                 # default theta(t)
+"theta[1]" = [{constant = -3}, {sine = {amplitude = 0.6, omega = 0.4}}]
 
-    [controller]
-    name = "StateFeedbackController"
-    start = {c = [0.5, 0.5], epsilon = 0.3}
+[controller]
+name = "StateFeedbackController"
+start = {c = [0.5, 0.5], epsilon = 0.3}
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ from pathlib import Path
 
 import numpy as np
 
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import nearest
 from congelation.export.interface import ProfileSlots
 from congelation.signals import Profile, Slots
-from congelation.toml import Section, read_document
 from congelation.theory.model import Model
 from congelation.theory.observer_form import observer_form_plant
 from congelation.theory.output_feedback import output_feedback_controller
 from congelation.theory.scalar import scalar_controller, scalar_plant
 from congelation.theory.state_feedback import state_feedback_controller
 from congelation.theory.strict_feedback import strict_feedback_plant
+from congelation.toml import Section, read_document
 
-__all__ = ["FORMS", "Form", "FmuSpec", "Spec", "models_of", "read_spec"]
+__all__ = ["FORMS", "FmuSpec", "Form", "Spec", "models_of", "read_spec"]
 
 Structure = Mapping[str, object]
 
@@ -162,8 +162,12 @@ def _read_phibar(section: Section) -> list[list[list[float]]]:
         i, j = (int(part) - 1 for part in key.split(","))
         if not isinstance(value, list) or len(value) != p:
             raise table.wrong(key, f"{p} numbers")
-        phibar[i, j] = table.attempt(key, lambda v=value: np.asarray(v, dtype=float))
-    return phibar.tolist()  # type: ignore[no-any-return]  # numpy types tolist() as Any
+        try:
+            phibar[i, j] = value
+        except (TypeError, ValueError):
+            raise table.wrong(key, f"{p} numbers") from None
+    rows: list[list[list[float]]] = phibar.tolist()
+    return rows
 
 
 def _block(section: Section, folder: str, model: Model) -> FmuSpec:

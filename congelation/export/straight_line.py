@@ -131,9 +131,7 @@ class _Writer:
     def __init__(self, constants: Sequence[tuple[str, ca.SX]], block: Block, prefix: str) -> None:
         self._block = block
         self._prefix = prefix
-        groups = [
-            _names_of(name, symbols) for name, symbols in block.arguments
-        ]
+        groups = [_names_of(name, symbols) for name, symbols in block.arguments]
         self._names = [name for name, _ in constants] + [n for group in groups for n in group]
         self._constant_count = len(constants)
         symbols = [s for _, s in constants] + [s for _, g in block.arguments for s in g]

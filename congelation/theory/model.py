@@ -264,9 +264,11 @@ def _shaped(name: str, value: object, known: Mapping[str, tuple[int, int]]) -> t
         numbers = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise InvalidInput(f"{name} = {value!r} is not valid; give numbers") from None
-    shapes = {(rows, columns), (rows,) if columns == 1 else (rows, columns)}
+    shapes: set[tuple[int, ...]] = {(rows, columns)}
+    if columns == 1:
+        shapes.add((rows,))
     if rows == columns == 1:
-        shapes |= {(), (1,)}
+        shapes.add(())
     if numbers.shape not in shapes or not np.isfinite(numbers).all():
         size = f"{rows} numbers" if columns == 1 else f"{rows} rows of {columns} numbers"
         raise InvalidInput(f"{name} = {value!r} is not valid; give {size}")

@@ -106,8 +106,8 @@ def iss_filter_gain(r, epsilon, n):
     x = _filter_solution(n, r, epsilon)
     if x is None:
         raise Infeasible(
-            "(r = %.6g, epsilon = %.6g) is infeasible: (43) has no positive definite solution; "
-            "the smallest feasible r is about %.4g" % (r, epsilon, _smallest_r(n, r, epsilon))
+            f"(r = {r:.6g}, epsilon = {epsilon:.6g}) is infeasible: (43) has no positive definite "
+            f"solution; the smallest feasible r is about {_smallest_r(n, r, epsilon):.4g}"
         )
     return [0.5 * row[0] for row in x]
 

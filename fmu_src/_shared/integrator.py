@@ -62,7 +62,7 @@ def integrate(step, rates_at, t, start, end, x, v, theta, h, tolerance):
         last = s + h >= end
         tried = end - s if last else h
         y, g, error = step(t, s, tried, x, k, v, theta, absolute, tolerance)
-        # max() can drop a NaN, so the states are looked at too: only a finite sum minus itself is 0.
+        # max() can drop a NaN, so the states are looked at too: only a finite sum less itself is 0.
         total = sum(y)
         if error <= 1.0 and total - total == 0.0:
             change = SAFETY * error ** (-1.0 / ORDER) if error > 0.0 else LARGEST_CHANGE
@@ -80,6 +80,6 @@ def integrate(step, rates_at, t, start, end, x, v, theta, h, tolerance):
                     "the loop diverges: take a smaller communication step" % (t + s)
                 )
     raise StepFailure(
-        "%d internal steps did not reach the end of the step from t = %.9g; "
-        "take a smaller communication step" % (MOST_STEPS, t)
+        f"{MOST_STEPS} internal steps did not reach the end of the step from t = {t:.9g}; "
+        "take a smaller communication step"
     )

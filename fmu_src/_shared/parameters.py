@@ -43,7 +43,7 @@ def bind(constants):
         try:
             found = RULES[rule](*(arguments[n][0] for n in names), **fixed)
         except (ArithmeticError, ValueError) as error:
-            raise ParameterError("%s: %s" % (name, error)) from error
+            raise ParameterError(f"{name}: {error}") from error
         gains += found
     flat = [value for values in arguments.values() for value in values] + gains
     return Bound(*equations.bind(*flat), gains)
@@ -58,8 +58,7 @@ def _check(name, domain, references, values, columns):
     for vr, value in zip(references, values):
         if not valid(value):
             raise ParameterError(
-                "%s = %s is refused: it must be %s"
-                % (interface.VARIABLES[vr].name, value, phrase)
+                f"{interface.VARIABLES[vr].name} = {value} is refused: it must be {phrase}"
             )
 
 
@@ -69,11 +68,11 @@ def _check_positive_definite(name, rows):
         for j in range(i):
             if abs(row[j] - rows[j][i]) > SYMMETRY * size:
                 raise ParameterError(
-                    "%s is refused: it must be symmetric, but %s[%d,%d] = %s and %s[%d,%d] = %s"
-                    % (name, name, i + 1, j + 1, row[j], name, j + 1, i + 1, rows[j][i])
+                    f"{name} is refused: it must be symmetric, but {name}[{i + 1},{j + 1}] = "
+                    f"{row[j]} and {name}[{j + 1},{i + 1}] = {rows[j][i]}"
                 )
     if cholesky(rows) is None:
-        raise ParameterError("%s is refused: it must be positive definite" % name)
+        raise ParameterError(f"{name} is refused: it must be positive definite")
 
 
 _DOMAINS = {

@@ -20,7 +20,7 @@ class Plant(Block):
             try:
                 profiles.append(Profile.from_flat({f: self._constants[vr] for f, vr in fields}))
             except ProfileError as error:
-                raise ParameterError("%s: %s" % (name, error)) from error
+                raise ParameterError(f"{name}: {error}") from error
         self._profiles = tuple(profiles)
         self._pieces = tuple(profile.segment(self._time) for profile in profiles)
         return bound

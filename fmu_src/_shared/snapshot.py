@@ -41,7 +41,7 @@ def from_bytes(model, data):
     """The state that `data` holds, or a NotAState that says what is wrong with it."""
     head, body = data[:HEADER], data[HEADER:]
     if len(head) < HEADER or not head.startswith(FORMAT):
-        return NotAState(data, "%d bytes that are not a serialised FMU state" % len(data))
+        return NotAState(data, f"{len(data)} bytes that are not a serialised FMU state")
     if head[len(FORMAT) : -DIGEST] != _key(model):
         return NotAState(data, "the serialised state of another model or build, not of " + model)
     if hashlib.sha256(body).digest() != head[-DIGEST:]:

@@ -6,6 +6,4 @@ from collections import namedtuple
 
 __all__ = ["Variable"]
 
-Variable = namedtuple(
-    "Variable", "name type causality variability initial start description"
-)
+Variable = namedtuple("Variable", "name type causality variability initial start description")
