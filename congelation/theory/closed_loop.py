@@ -1,0 +1,274 @@
+"""A plant and its controller as one differential equation, the reference for any co-simulation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.integrate import solve_ivp
+
+from congelation.errors import InvalidInput
+from congelation.theory.model import Model, State, Variables
+from congelation.theory.values import complete_values
+
+__all__ = ["ClosedLoop", "Compiled", "Segment", "Solution", "close"]
+
+Vector = NDArray[np.float64]
+
+
+def close(
+    plant: Model, controller: Model, parameters: Mapping[str, object] | None = None
+) -> ClosedLoop:
+    """Connect every output to the input of its name, both ways.
+
+    Parameters
+    ----------
+    plant, controller : Model
+        The plant's outputs do not depend on its input, so there is no algebraic loop.
+    parameters : mapping, optional
+        Parameters of the controller, see `congelation.theory.values.complete_values`.
+
+    Raises
+    ------
+    InvalidInput
+        If an input has no output of its name and shape.
+    """
+    sensed = _connection(plant, controller)
+    control = _connection(controller, plant)
+    expressions = [*(s.rate for s in controller.states), *(y for _, y in control)]
+    expressions += [o.variables.symbol for o in controller.outputs]
+    expressions = ca.substitute(expressions, [v for v, _ in sensed], [y for _, y in sensed])
+    rates, rest = expressions[: len(controller.states)], expressions[len(controller.states) :]
+    inputs, outputs = rest[: len(control)], rest[len(control) :]
+    plant_rates = ca.substitute([s.rate for s in plant.states], [v for v, _ in control], inputs)
+    plant_outputs = [o.variables.symbol for o in plant.outputs]
+    return ClosedLoop(
+        plant=plant,
+        controller=controller,
+        values=complete_values(controller, parameters),
+        rate=_stack([*plant_rates, *rates]),
+        output=_stack([*plant_outputs, *outputs]),
+    )
+
+
+@dataclass(frozen=True)
+class Segment:
+    """theta(t) on an interval on which it is smooth.
+
+    Parameters
+    ----------
+    start, end : float
+        Seconds.
+    theta : callable
+        theta(t) of shape (p,) for start <= t <= end, where theta(end) is the limit from the left.
+    """
+
+    start: float
+    end: float
+    theta: Callable[[float], ArrayLike]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """What `ClosedLoop.solve` found, up to the end or to where the solver gave up.
+
+    Attributes
+    ----------
+    time : ndarray, shape (N,)
+    states, outputs : ndarray, shapes (N, number of states), (N, number of outputs)
+        Columns as in `ClosedLoop.state_names` and `ClosedLoop.output_names`.
+    success : bool
+        Whether the last segment was solved to its end.
+    message : str
+        The solver's own.
+    """
+
+    time: Vector
+    states: Vector
+    outputs: Vector
+    success: bool
+    message: str
+
+
+@dataclass(frozen=True)
+class ClosedLoop:
+    """X' = f(X, theta(t)), X holding the states of the plant, then those of the controller.
+
+    Attributes
+    ----------
+    values : mapping
+        The parameters and gains of the controller.
+    rate, output : casadi.SX
+        Columns: f, and the outputs of the plant, then those of the controller.
+    """
+
+    plant: Model
+    controller: Model
+    values: Mapping[str, Vector]
+    rate: ca.SX
+    output: ca.SX
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """``plant.x[1]``, .., ``controller.theta_hat[1]``, .. ."""
+        return self._names(lambda model: [s.variables for s in model.states])
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """``plant.x[1]``, .., ``controller.u``, .. ."""
+        return self._names(lambda model: [y.variables for y in model.outputs])
+
+    def start(self, given: Mapping[str, ArrayLike] | None = None) -> Vector:
+        """The start values of X, from the models' own where not `given` by name (``x``, ..)."""
+        given = dict(given or {})
+        states = [*self.plant.states, *self.controller.states]
+        unknown = set(given) - {s.variables.name for s in states}
+        if unknown:
+            raise InvalidInput(f"no state is called '{min(unknown)}'")
+        columns = [_start(s, given.get(s.variables.name, s.start)) for s in states]
+        return np.concatenate(columns)
+
+    @cached_property
+    def function(self) -> Compiled:
+        """(X, theta) -> X', compiled to CasADi's virtual machine with the parameters put in."""
+        return Compiled(self.bind([self.rate]), self.arguments)
+
+    @cached_property
+    def output_function(self) -> Compiled:
+        """(X, theta) -> the outputs."""
+        return Compiled(self.bind([self.output]), self.arguments)
+
+    @property
+    def arguments(self) -> tuple[ca.SX, ca.SX]:
+        """The columns X and theta that every expression is a function of."""
+        states = [s.variables.symbol for s in (*self.plant.states, *self.controller.states)]
+        theta = ca.SX(0, 1) if self.plant.theta is None else self.plant.theta.symbol
+        return _stack(states), theta
+
+    def bind(self, expressions: Sequence[ca.SX]) -> list[ca.SX]:
+        """`expressions` with the numbers of the parameters and gains put in."""
+        named = self.controller.arguments()
+        symbols = [named[name] for name in self.values]
+        numbers = [ca.SX(ca.DM(value)) for value in self.values.values()]
+        bound: list[ca.SX] = ca.substitute(list(expressions), symbols, numbers)
+        return bound
+
+    def solve(
+        self,
+        segments: Sequence[Segment],
+        start: Vector,
+        times: ArrayLike,
+        *,
+        rtol: float = 1e-10,
+        atol: float = 1e-10,
+        method: str = "DOP853",
+    ) -> Solution:
+        """Integrate piece by piece, never across a jump of theta.
+
+        Parameters
+        ----------
+        segments : sequence of Segment
+            Each starts where the one before ends.
+        start : ndarray
+            X at the start of the first segment.
+        times : array_like
+            Increasing times to report; within the segments.
+        rtol, atol, method
+            As in `scipy.integrate.solve_ivp`.
+        """
+        wanted = np.asarray(times, dtype=float)
+        X, rows, thetas, message, success = np.asarray(start, dtype=float), [], [], "", True
+        for index, segment in enumerate(segments):
+            last = index == len(segments) - 1
+            before_end = wanted <= segment.end if last else wanted < segment.end
+            inside = wanted[(wanted >= segment.start) & before_end]
+            step = solve_ivp(
+                lambda t, X, theta=segment.theta: self.function(X, theta(t)),
+                (segment.start, segment.end),
+                X,
+                method=method,
+                t_eval=np.union1d(inside, [segment.end]),
+                rtol=rtol,
+                atol=atol,
+            )
+            kept = np.isin(step.t, inside)
+            rows.append(step.y.T[kept])
+            thetas += [(t, segment.theta(t)) for t in step.t[kept]]
+            message, success = step.message, bool(step.success)
+            if not success:
+                break
+            X = step.y[:, -1]
+        states = np.vstack(rows)
+        outputs = [self.output_function(x, th) for x, (_, th) in zip(states, thetas, strict=True)]
+        time = np.array([t for t, _ in thetas])
+        return Solution(time, states, np.array(outputs).reshape(len(time), -1), success, message)
+
+    def _names(self, variables: Callable[[Model], Sequence[Variables]]) -> tuple[str, ...]:
+        sides = (("plant", self.plant), ("controller", self.controller))
+        return tuple(
+            f"{side}.{name}" for side, model in sides for v in variables(model) for name in v.names
+        )
+
+
+class Compiled:
+    """A fast function of numbers: some expressions, stacked into one vector.
+
+    Evaluation goes through fixed buffers: a call costs a few microseconds, not the tens that
+    converting to CasADi's matrices takes.
+
+    Parameters
+    ----------
+    expressions : sequence of casadi.SX
+    arguments : sequence of casadi.SX
+        Columns of symbols.
+    """
+
+    def __init__(self, expressions: Sequence[ca.SX], arguments: Sequence[ca.SX]) -> None:
+        stacked = ca.cse([_stack(expressions)])
+        function = ca.Function("compiled", list(arguments), stacked)
+        self._arguments = [np.zeros(int(a.numel())) for a in arguments]
+        self._result = np.zeros(int(stacked[0].numel()))
+        # The evaluation reads memory that the buffer object owns: it has to live as long.
+        self._buffer, self._evaluate = function.buffer()
+        for index, entry in enumerate(self._arguments):
+            self._buffer.set_arg(index, entry.data)  # type: ignore[call-arg]  # stub wants the size
+        self._buffer.set_res(0, self._result.data)  # type: ignore[call-arg]  # as above
+
+    def __call__(self, *values: ArrayLike) -> Vector:
+        """The expressions at these values of the arguments."""
+        for entry, value in zip(self._arguments, values, strict=True):
+            entry[:] = value
+        self._evaluate()
+        return self._result.copy()
+
+
+def _connection(source: Model, target: Model) -> list[tuple[ca.SX, ca.SX]]:
+    """(input symbol, output expression) for every input of `target`."""
+    outputs = {y.variables.name: y.variables for y in source.outputs}
+    pairs = []
+    for entry in target.inputs:
+        name = entry.variables.name
+        if name not in outputs or outputs[name].shape != entry.variables.shape:
+            raise InvalidInput(
+                f"{target.name} wants '{name}' of {entry.variables.shape[0]} elements, which "
+                f"{source.name} does not put out; close a plant with the controller of its form"
+            )
+        pairs.append((entry.variables.symbol, outputs[name].symbol))
+    return pairs
+
+
+def _start(state: State, value: ArrayLike) -> Vector:
+    column = np.asarray(value, dtype=float).ravel()
+    size = len(state.variables.names)
+    if column.size != size:
+        raise InvalidInput(f"{state.variables.name} has {column.size} elements; valid: {size}")
+    return column
+
+
+def _stack(columns: Sequence[ca.SX]) -> ca.SX:
+    """One dense column."""
+    return ca.densify(ca.vertcat(*(ca.vec(c) for c in columns)))

@@ -1,0 +1,90 @@
+"""The numbers of a model: given values, defaults for the rest, checked; and the computed gains."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from congelation.errors import InvalidInput, nearest
+from congelation.theory.gains import RULES
+from congelation.theory.model import Domain, Model, Parameter
+
+__all__ = ["complete_values"]
+
+Values = dict[str, NDArray[np.float64]]
+
+SYMMETRY_TOLERANCE = 1e-12
+"""Asymmetry, relative to the largest element, that passes for rounding in a given matrix."""
+
+
+def complete_values(model: Model, given: Mapping[str, object] | None = None) -> Values:
+    """Every parameter and gain of `model` by name, in its shape.
+
+    Parameters
+    ----------
+    model : Model
+    given : mapping, optional
+        Values of parameters by name; scalars, or (nested) sequences in the parameter's shape. A
+        gain may be given too, which then takes the place of its rule.
+
+    Raises
+    ------
+    InvalidInput
+        An unknown name, a wrong shape, or a value outside its domain.
+    InfeasibleDesign
+        If a gain does not exist for these values.
+    """
+    given = dict(given or {})
+    parameters = {p.variables.name: p for p in model.parameters}
+    shapes = {name: p.variables.shape for name, p in parameters.items()}
+    shapes |= {g.variables.name: g.variables.shape for g in model.gains}
+    for name in given:
+        if name not in shapes:
+            raise InvalidInput(f"{model.name} has no parameter '{name}': {nearest(name, shapes)}")
+    values = model.defaults()
+    values |= {name: _shaped(name, value, shapes[name]) for name, value in given.items()}
+    for name, parameter in parameters.items():
+        _check_domain(parameter, values[name])
+    for gain in model.gains:
+        if gain.variables.name not in given:
+            arguments = [_argument(values[name]) for name in gain.arguments]
+            found = RULES[gain.rule](*arguments, **gain.constants)
+            values[gain.variables.name] = found.reshape(gain.variables.shape)
+    return values
+
+
+def _argument(value: NDArray[np.float64]) -> object:
+    return value.item() if value.size == 1 and value.shape == (1, 1) else value
+
+
+def _shaped(name: str, value: object, shape: tuple[int, int]) -> NDArray[np.float64]:
+    array = np.asarray(value, dtype=float)
+    if array.size != shape[0] * shape[1]:
+        raise InvalidInput(f"{name} has {array.size} elements; valid: {shape[0]} x {shape[1]}")
+    return array.reshape(shape)
+
+
+def _check_domain(parameter: Parameter, value: NDArray[np.float64]) -> None:
+    domain, name = parameter.domain, parameter.variables.name
+    if not np.isfinite(value).all() or not _inside(domain, value):
+        raise InvalidInput(f"{name} = {value.tolist()}; valid: {domain.value}")
+
+
+def _inside(domain: Domain, value: NDArray[np.float64]) -> bool:
+    match domain:
+        case Domain.POSITIVE:
+            return bool((value > 0).all())
+        case Domain.NONNEGATIVE:
+            return bool((value >= 0).all())
+        case Domain.BOOLEAN:
+            return bool(np.isin(value, (0.0, 1.0)).all())
+        case Domain.SIGN:
+            return bool(np.isin(value, (-1.0, 1.0)).all())
+        case Domain.POSITIVE_DEFINITE:
+            asymmetry = np.abs(value - value.T).max()
+            symmetric = asymmetry <= SYMMETRY_TOLERANCE * np.abs(value).max()
+            return bool(symmetric and np.linalg.eigvalsh(value).min() > 0)
+        case Domain.REAL:
+            return True
