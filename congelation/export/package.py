@@ -8,6 +8,7 @@ import sys
 import tempfile
 import zipfile
 from pathlib import Path
+from types import ModuleType
 
 from pythonfmu.builder import FmuBuilder
 
@@ -64,7 +65,9 @@ def build(fmu: FmuSpec, spec: Spec, sources: Path, out: Path) -> Path:
 
 def _pythonfmu(staged: Staged, out: Path) -> Path:
     """Run pythonfmu's builder, which imports the slave, and leave the interpreter as it was."""
-    path, modules = list(sys.path), set(sys.modules)
+    path = list(sys.path)
+    # An FMU of the same sources may be loaded in this process, with its own copy of pythonfmu.
+    loaded = _taken_out(staged.package)
     try:
         return Path(
             FmuBuilder.build_FMU(
@@ -79,9 +82,14 @@ def _pythonfmu(staged: Staged, out: Path) -> Path:
         raise InvalidInput(f"{staged.name}: {error}") from error
     finally:
         sys.path[:] = path
-        for name in set(sys.modules) - modules:
-            if name.startswith(staged.package):
-                del sys.modules[name]
+        _taken_out(staged.package)
+        sys.modules.update(loaded)
+
+
+def _taken_out(package: str) -> dict[str, ModuleType]:
+    """The modules of an FMU's package and its slave, which are no longer in sys.modules."""
+    names = [name for name in sys.modules if name.startswith(package)]
+    return {name: sys.modules.pop(name) for name in names}
 
 
 def _finish(raw: Path, target: Path, staged: Staged) -> None:

@@ -1,0 +1,22 @@
+"""The built FMUs: `make fmus` makes them, these tests only load them."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.fmus.instance import FMUS
+
+NAMES = (
+    "ScalarPlant",
+    "ScalarController",
+    "StrictFeedbackPlant",
+    "StateFeedbackController",
+    "ObserverFormPlant",
+    "OutputFeedbackController",
+)
+
+
+@pytest.fixture(params=NAMES)
+def fmu(request: pytest.FixtureRequest) -> Path:
+    """Each built FMU in turn."""
+    return FMUS / f"{request.param}.fmu"
