@@ -21,7 +21,7 @@ FMUS = Path(__file__).resolve().parents[2] / "fmus"
 DISCARD, ERROR = 2, 3
 
 
-@dataclass
+@dataclass(repr=False)
 class Instance:
     """One instance, its variables by name, and what it logged as (status, text)."""
 

@@ -78,7 +78,7 @@ def test_control(controller, x, theta_hat, c, epsilon, delta, damping):
 @given(st.tuples(NUMBER, NUMBER), st.tuples(NUMBER, NUMBER), st.booleans())
 def test_adaptation(controller, x, theta_hat, damping):
     """Over a step with held x, theta_hat follows the rate by hand, integrated by scipy."""
-    h = 0.1
+    h = 0.005  # with x held, theta_hat escapes in finite time: a' = x_1^2 (1 + a^2) + a x_1 x_2
     start = {"theta_hat0[1]": theta_hat[0], "theta_hat0[2]": theta_hat[1], "damping": damping}
     controller.slave.reset()
     controller.start(**start, **{"x[1]": x[0], "x[2]": x[1]})
