@@ -6,24 +6,27 @@ import dataclasses
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from congelation.cosim.coupling.base import Coupling, Stepper
+from congelation.cosim.coupling.base import AdaptiveStepper, Coupling, Stepper
 from congelation.cosim.coupling.derivative import Derivative
 from congelation.cosim.coupling.gauss_seidel import GaussSeidel
+from congelation.cosim.coupling.hermite import Hermite
 from congelation.cosim.coupling.jacobi import Jacobi
 from congelation.errors import InvalidInput, nearest
 
 __all__ = [
     "COUPLINGS",
+    "AdaptiveStepper",
     "Coupling",
     "Derivative",
     "GaussSeidel",
+    "Hermite",
     "Jacobi",
     "Stepper",
     "make_coupling",
 ]
 
 COUPLINGS: Mapping[str, type[Coupling]] = MappingProxyType(
-    {kind.name: kind for kind in (Jacobi, GaussSeidel, Derivative)}
+    {kind.name: kind for kind in (Jacobi, GaussSeidel, Derivative, Hermite)}
 )
 """Every coupling by its name."""
 

@@ -7,8 +7,9 @@ from typing import ClassVar
 
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
+from congelation.errors import InvalidInput
 
-__all__ = ["Coupling", "Stepper"]
+__all__ = ["AdaptiveStepper", "Coupling", "Stepper", "refuse_tolerance"]
 
 
 class Stepper(ABC):
@@ -17,9 +18,9 @@ class Stepper(ABC):
     Attributes
     ----------
     sweeps, calls : int
-        Passes over all components, and fmi2 calls, made so far.
+        Passes over all components, and fmi2 calls, made so far; complete after `finish`.
     estimated_error : float
-        As in Statistics.
+        As in Statistics; complete after `finish`.
     """
 
     sweeps: int
@@ -45,6 +46,41 @@ class Stepper(ABC):
         """Complete the statistics."""
 
 
+class AdaptiveStepper(Stepper):
+    """A stepper whose steps carry an error estimate and can be taken back.
+
+    Attributes
+    ----------
+    order : int
+        The estimate falls with this power of the step.
+    """
+
+    order: int
+
+    @abstractmethod
+    def attempt(self, time: float, end: float) -> float:
+        """Step from `time` to `end` for a trial, which `accept` or `reject` must follow.
+
+        Returns
+        -------
+        float
+            Estimated distance of an input from the output that drives it, relative to nominal
+            value plus size; infinity where the sweeps did not converge.
+        """
+
+    @abstractmethod
+    def accept(self) -> None:
+        """Keep the step that was tried."""
+
+    @abstractmethod
+    def reject(self) -> None:
+        """Take the step that was tried back, without a trace; also after an exception in it."""
+
+    @abstractmethod
+    def first_step(self) -> float:
+        """A step from here over which the inputs change little, in seconds; may be infinite."""
+
+
 class Coupling(ABC):
     """How inputs move between communication points; plain data, described in its docstring.
 
@@ -62,6 +98,31 @@ class Coupling(ABC):
     needs_derivatives: ClassVar[bool]
     lands_on_events: ClassVar[bool]
 
+    @property
     @abstractmethod
-    def stepper(self, ensemble: Ensemble, exchange: Exchange) -> Stepper:
-        """This coupling at work on `ensemble`."""
+    def rolls_back(self) -> bool:
+        """Whether a step is repeated from saved states even where its length is fixed."""
+
+    @abstractmethod
+    def stepper(self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None) -> Stepper:
+        """This coupling at work on `ensemble`; an AdaptiveStepper where a tolerance is given.
+
+        Raises
+        ------
+        InvalidInput
+            The coupling knows no error estimate to hold against a tolerance.
+        """
+
+
+def refuse_tolerance(coupling: Coupling, tolerance: float | None) -> None:
+    """For couplings that hold inputs on purpose: how far off they are is not for a tolerance.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if tolerance is not None:
+        raise InvalidInput(
+            f"coupling '{coupling.name}' takes a fixed step; with a tolerance use 'hermite' or "
+            "'derivative'"
+        )

@@ -8,10 +8,12 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.coupling.base import Coupling, Stepper
+from congelation.cosim.coupling.base import AdaptiveStepper, Coupling
+from congelation.cosim.coupling.ends import Ends
 from congelation.cosim.coupling.polynomial import hermite
-from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
+from congelation.cosim.states import Checkpoint
 from congelation.errors import InvalidInput
 
 __all__ = ["Derivative"]
@@ -20,13 +22,16 @@ Floats = npt.NDArray[np.float64]
 
 SEQUENCES = ("gauss_seidel", "jacobi")
 
+FIRST_CHANGE = 1e-2
+"""Share of its size by which an input may change over the first step that is tried."""
+
 
 @dataclass(frozen=True)
 class Derivative(Coupling):
     """Inputs are extrapolated from their value and derivative at the step's start.
 
     Order 2. The derivative is the source's der(.) output, or that of fmi2GetRealOutputDerivatives,
-    or else the slope of the last two values.
+    or else that of the polynomial through the last values.
 
     Parameters
     ----------
@@ -46,102 +51,121 @@ class Derivative(Coupling):
         if self.sequence not in SEQUENCES:
             raise InvalidInput(f"sequence '{self.sequence}'; valid: {', '.join(SEQUENCES)}")
 
-    def stepper(self, ensemble: Ensemble, exchange: Exchange) -> Stepper:
+    @property
+    def rolls_back(self) -> bool:
+        """No step is repeated."""
+        return False
+
+    def stepper(
+        self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
+    ) -> AdaptiveStepper:
         """This coupling at work."""
-        return _DerivativeStepper(ensemble, exchange, self.sequence == "gauss_seidel")
+        checkpoint = Checkpoint(ensemble.slaves) if tolerance is not None else None
+        return _DerivativeStepper(ensemble, exchange, self.sequence == "gauss_seidel", checkpoint)
 
 
-class _DerivativeStepper(Stepper):
-    def __init__(self, ensemble: Ensemble, exchange: Exchange, sequential: bool) -> None:
+class _DerivativeStepper(AdaptiveStepper):
+    order = 2
+
+    def __init__(
+        self,
+        ensemble: Ensemble,
+        exchange: Exchange,
+        sequential: bool,
+        checkpoint: Checkpoint | None,
+    ) -> None:
         self._ensemble = ensemble
         self._exchange = exchange
         self._sequential = sequential
+        self._checkpoint = checkpoint
+        self._is_saved = False
+        self._ends = Ends(ensemble)
         # Loops are solved at every communication point; for plain feedthrough the sequence of
         # the slaves already carries the values over.
         self._exchanges = bool(exchange.loops) or (exchange.feedthrough and not sequential)
-        self._exact = ensemble.source_derivative != NO_DERIVATIVE
-        self._from_history = not bool(self._exact.all())
+        self._cubic = ensemble.order == 3
         self._ahead = [
             np.array(
                 [
-                    k
-                    for k in range(part.start, part.stop)
-                    if sequential and ensemble.links[k].source < m
+                    sequential and part.start <= k < part.stop and ensemble.links[k].source < m
+                    for k in range(len(ensemble.links))
                 ],
-                np.intp,
+                bool,
             )
             for m, part in enumerate(ensemble.columns)
         ]
-        # Rows v0, d0, v1, d1.
-        self._w: Floats = np.zeros((4, len(ensemble.links)))
-        self._error: Floats = np.zeros(len(ensemble.links))
-        self.sweeps = 0
+        self._interpolates = [bool(mask.any()) for mask in self._ahead]
         self._calls_per_sweep = (
             sum(ensemble.write_calls) + len(ensemble.slaves) + sum(ensemble.read_calls)
         )
+        self._length = self._error = 0.0
+        self.sweeps = 0
         self.estimated_error = 0.0
 
     def start(self, time: float) -> None:
-        self._w[1] = 0.0
-        self._take(self._w[0], self._w[1])
-
-    def _take(self, values: Floats, derivatives: Floats) -> None:
-        """The links' values, and their derivatives where the sources have them."""
-        ensemble = self._ensemble
-        ensemble.Y.take(ensemble.source, out=values, mode="clip")
-        if self._from_history:
-            derivatives[self._exact] = ensemble.Y[ensemble.source_derivative[self._exact]]
-        else:
-            ensemble.Y.take(ensemble.source_derivative, out=derivatives, mode="clip")
+        self._ends.start(time)
+        self._is_saved = False
 
     def advance(self, time: float, end: float) -> None:
-        length = end - time
-        ensemble, w = self._ensemble, self._w
-        ensemble.C[:2] = w[:2]
+        self._step(time, end)
+        self.accept()
+
+    def attempt(self, time: float, end: float) -> float:
+        if self._checkpoint is not None and not self._is_saved:
+            self._checkpoint.save()
+            self._is_saved = True
+        self._step(time, end)
+        return self._error
+
+    def _step(self, time: float, end: float) -> None:
+        ensemble, ends = self._ensemble, self._ends
+        length = self._length = end - time
+        ends.open(end)
+        ensemble.C[:2] = ends.w[:2]
         ensemble.C[2:] = 0.0
         for m, slave in enumerate(ensemble.slaves):
-            if self._ahead[m].size:
+            if self._interpolates[m]:
                 self._interpolate(self._ahead[m], length)
             ensemble.write[m]()
-            slave.step(time, length)
+            slave.step(time, length, self._checkpoint is None)
             if self._sequential:
                 ensemble.read[m]()
         if not self._sequential:
             ensemble.read_all()
         if self._exchanges:
             self._exchange.run(end)
-        elif ensemble.system.discrete_links:
-            ensemble.copy_discrete()
-        self._close(length)
-
-    def _interpolate(self, links: npt.NDArray[np.intp], length: float) -> None:
-        """Between both ends of the step: their sources have stepped already."""
-        ensemble, w = self._ensemble, self._w
-        self._take(w[2], w[3])
-        if self._from_history:
-            self._slopes(length)
-        cubic = ensemble.order[links] == 3
-        ensemble.C[1, links] = np.where(cubic, w[1, links], (w[2] - w[0])[links] / length)
-        ensemble.C[2:, links] = np.where(cubic, (hermite(length) @ w[:, links])[2:], 0.0)
-
-    def _slopes(self, length: float) -> None:
-        self._w[3] = np.where(self._exact, self._w[3], (self._w[2] - self._w[0]) / length)
-
-    def _close(self, length: float) -> None:
-        """The end of this step is the start of the next."""
-        w = self._w
-        self._take(w[2], w[3])
-        if self._from_history:
-            self._slopes(length)
-        np.multiply(w[1], length, out=self._error)
-        np.add(self._error, w[0], out=self._error)
-        np.subtract(self._error, w[2], out=self._error)
-        np.abs(self._error, out=self._error)
-        self._error /= self._ensemble.nominal + np.abs(w[2])
-        if self._error.size:
-            self.estimated_error = max(self.estimated_error, float(self._error.max()))
-        w[:2] = w[2:]
         self.sweeps += 1
+        self._estimate(length)
+
+    def _interpolate(self, links: npt.NDArray[np.bool_], length: float) -> None:
+        """Between both ends of the step: the sources of these links have stepped already."""
+        ends, C = self._ends, self._ensemble.C
+        ends.read()
+        ends.w[2:] = ends.new
+        np.copyto(C[1], (ends.new[0] - ends.w[0]) / length, where=links & ~self._cubic)
+        np.copyto(C, hermite(length) @ ends.w, where=links & self._cubic)
+
+    def _estimate(self, length: float) -> None:
+        ends = self._ends
+        ends.read()
+        if ends.new.size:
+            distance = np.abs(ends.w[0] + length * ends.w[1] - ends.new[0])
+            self._error = float((distance / (self._ensemble.nominal + np.abs(ends.new[0]))).max())
+
+    def accept(self) -> None:
+        self._ends.close(self._length)
+        self._is_saved = False
+        self.estimated_error = max(self.estimated_error, self._error)
+        if self._ensemble.system.discrete_links:
+            self._ensemble.copy_discrete()
+
+    def reject(self) -> None:
+        if self._checkpoint is not None:
+            self._checkpoint.restore()
+
+    def first_step(self) -> float:
+        return self._ends.time_scale() * FIRST_CHANGE
 
     def finish(self) -> None:
-        self.calls = self.sweeps * self._calls_per_sweep + self._exchange.calls
+        saved = self._checkpoint.calls if self._checkpoint is not None else 0
+        self.calls = self.sweeps * self._calls_per_sweep + self._exchange.calls + saved

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import ClassVar
 
-from congelation.cosim.coupling.base import Coupling, Stepper
+from congelation.cosim.coupling.base import Coupling, Stepper, refuse_tolerance
 from congelation.cosim.coupling.monitor import HeldError
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
@@ -26,8 +26,14 @@ class GaussSeidel(Coupling):
     needs_derivatives: ClassVar[bool] = False
     lands_on_events: ClassVar[bool] = False
 
-    def stepper(self, ensemble: Ensemble, exchange: Exchange) -> Stepper:
+    @property
+    def rolls_back(self) -> bool:
+        """No step is repeated."""
+        return False
+
+    def stepper(self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None) -> Stepper:
         """This coupling at work."""
+        refuse_tolerance(self, tolerance)
         return _GaussSeidelStepper(ensemble)
 
 

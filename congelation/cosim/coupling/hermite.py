@@ -1,0 +1,249 @@
+"""Inputs as cubics through values and derivatives at both ends of the step."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.cosim.broyden import Broyden
+from congelation.cosim.coupling.base import AdaptiveStepper, Coupling
+from congelation.cosim.coupling.ends import Ends
+from congelation.cosim.coupling.polynomial import hermite
+from congelation.cosim.ensemble import Ensemble
+from congelation.cosim.exchange import Exchange
+from congelation.cosim.result import RunEnded, Status
+from congelation.cosim.states import Checkpoint
+from congelation.errors import InvalidInput
+
+__all__ = ["Hermite"]
+
+Floats = npt.NDArray[np.float64]
+
+ACCELERATIONS = ("broyden", "none")
+
+SHARE_OF_TOLERANCE = 0.1
+"""Of a step's error tolerance, the part left to unfinished sweeps."""
+
+FIRST_CHANGE = 3e-2
+"""Share of its size by which an input may change over the first step that is tried."""
+
+
+@dataclass(frozen=True)
+class Hermite(Coupling):
+    """Every input is the cubic through value and derivative of its source at both ends of a step.
+
+    The ends are first extrapolated, then found by sweeps: all slaves step in the declared order,
+    the outputs at the end give new polynomials, and the step is repeated from saved states until
+    the outputs change by less than a tolerance. Order 4. For a linear loop it is the
+    two-derivative Obreshkov formula of order 4 (Hairer, Norsett, Wanner, Solving Ordinary
+    Differential Equations I, section III.5), whose stability function is the (2, 2) Pade
+    approximation of the exponential: as long as the sweeps converge, accuracy alone limits the
+    step.
+
+    An input that takes a value and one derivative gets the chord, one that takes a value alone the
+    cubic's mean. A source without derivatives gets them from its past values.
+
+    Parameters
+    ----------
+    sweeps : int or None
+        Exactly so many plain sweeps per step; with None, as many as it takes.
+    tolerance : float
+        Change at which sweeps end, relative to nominal value plus size. Where steps are chosen by a
+        tolerance, that one is used.
+    max_sweeps : int
+        After these a step counts as not converged.
+    acceleration : str
+        "broyden": quasi-Newton steps on the inputs that are fed back, which converge where loop
+        gain times step is beyond 1; "none": plain sweeps.
+    """
+
+    sweeps: int | None = None
+    tolerance: float = 1e-9
+    max_sweeps: int = 12
+    acceleration: str = "broyden"
+    name: ClassVar[str] = "hermite"
+    needs_derivatives: ClassVar[bool] = True
+    lands_on_events: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        if self.acceleration not in ACCELERATIONS:
+            valid = ", ".join(ACCELERATIONS)
+            raise InvalidInput(f"acceleration '{self.acceleration}'; valid: {valid}")
+        for name, value in (("sweeps", self.sweeps), ("max_sweeps", self.max_sweeps)):
+            if value is not None and value < 1:
+                raise InvalidInput(f"{name} {value}: at least 1 is needed")
+        if not self.tolerance > 0.0:
+            raise InvalidInput(f"tolerance {self.tolerance:g} of the sweeps must be positive")
+
+    @property
+    def rolls_back(self) -> bool:
+        """Every sweep but the first repeats the step."""
+        return self.sweeps != 1
+
+    def stepper(
+        self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
+    ) -> AdaptiveStepper:
+        """This coupling at work."""
+        accuracy = self.tolerance if tolerance is None else SHARE_OF_TOLERANCE * tolerance
+        checkpoint = (
+            Checkpoint(ensemble.slaves) if self.rolls_back or tolerance is not None else None
+        )
+        return _HermiteStepper(self, ensemble, exchange, accuracy, checkpoint)
+
+
+class _HermiteStepper(AdaptiveStepper):
+    order = 4
+
+    def __init__(
+        self,
+        coupling: Hermite,
+        ensemble: Ensemble,
+        exchange: Exchange,
+        accuracy: float,
+        checkpoint: Checkpoint | None,
+    ) -> None:
+        self._coupling = coupling
+        self._ensemble = ensemble
+        self._exchange = exchange
+        self._accuracy = accuracy
+        self._checkpoint = checkpoint
+        self._is_saved = False
+        self._ends = Ends(ensemble)
+        links = ensemble.links
+        # Fed back: the source steps after the target, or is the target.
+        self._back = np.flatnonzero([link.source >= link.target for link in links])
+        self._forward = [
+            np.array([link.source == m < link.target for link in links], bool)
+            for m in range(len(ensemble.slaves))
+        ]
+        self._feeds = [bool(mask.any()) for mask in self._forward]
+        self._low = [np.flatnonzero(ensemble.order == order) for order in range(3)]
+        self._is_low = any(part.size for part in self._low)
+        self._held = [bool((ensemble.order[part] == 0).any()) for part in ensemble.columns]
+        self._method = Broyden(2 * self._back.size)
+        self._H_before = self._method.H
+        self._predicted: Floats = np.zeros((2, len(links)))
+        self._calls_per_sweep = (
+            sum(ensemble.write_calls) + len(ensemble.slaves) + sum(ensemble.read_calls)
+        ) + 2 * sum(self._held)
+        self._length = self._error = 0.0
+        self._worst = 0
+        self.sweeps = 0
+        self.estimated_error = 0.0
+
+    def start(self, time: float) -> None:
+        self._ends.start(time)
+        self._is_saved = False
+
+    def advance(self, time: float, end: float) -> None:
+        if not math.isfinite(self.attempt(time, end)):
+            name = self._ensemble.links[self._worst].name
+            raise RunEnded(
+                Status.NOT_CONVERGED,
+                f"the step from t = {time:.9g} to {end:.9g}: {self._coupling.max_sweeps} sweeps "
+                f"left the connection {name} changing",
+            )
+        self.accept()
+
+    def attempt(self, time: float, end: float) -> float:
+        if self._checkpoint is not None and not self._is_saved:
+            self._checkpoint.save()
+            self._is_saved = True
+        self._H_before = self._method.H
+        self._method.restart()
+        length = self._length = end - time
+        ends = self._ends
+        ends.open(end)
+        ends.predict(length)
+        self._predicted[:] = ends.w[2:]
+        polynomial = hermite(length)
+        self._error = math.inf
+        for count in range(1, (self._coupling.sweeps or self._coupling.max_sweeps) + 1):
+            if count > 1 and self._checkpoint is not None:
+                self._checkpoint.restore()
+            self._sweep(time, length, polynomial)
+            self._ensemble.check(end)
+            if self._settled(length, count):
+                self._error = ends.defect(self._predicted, length)
+                break
+        return self._error
+
+    def _sweep(self, time: float, length: float, polynomial: Floats) -> None:
+        """All slaves once over the step, with the inputs' ends as they are known by now."""
+        ensemble, ends = self._ensemble, self._ends
+        for m, slave in enumerate(ensemble.slaves):
+            np.dot(polynomial, ends.w, out=ensemble.C)
+            if self._is_low:
+                self._lower(length)
+            ensemble.write[m]()
+            slave.step(time, length, self._checkpoint is None)
+            ensemble.read[m]()
+            if self._held[m]:
+                self._reach_end(m)
+            ends.read()
+            if self._feeds[m]:
+                np.copyto(ends.w[2:], ends.new, where=self._forward[m])
+        self.sweeps += 1
+
+    def _lower(self, length: float) -> None:
+        """Polynomials for inputs that take fewer than three derivatives."""
+        C, w = self._ensemble.C, self._ends.w
+        held, linear, quadratic = self._low
+        mean = (w[0] + w[2]) / 2.0 + (w[1] - w[3]) * (length / 12.0)
+        C[0, held] = mean[held]
+        C[1, linear] = (w[2, linear] - w[0, linear]) / length
+        rise = w[2, quadratic] - w[0, quadratic] - length * w[1, quadratic]
+        C[2, quadratic] = 2.0 * rise / length**2
+
+    def _reach_end(self, m: int) -> None:
+        """Outputs of a slave with held inputs, for the inputs' values at the end of the step."""
+        ensemble = self._ensemble
+        ensemble.C[0] = self._ends.w[2]
+        ensemble.C[1:] = 0.0
+        ensemble.write[m]()
+        ensemble.read[m]()
+
+    def _settled(self, length: float, count: int) -> bool:
+        """Whether the ends agree with what the sweep made of them; if not, new ends are set."""
+        back, ends = self._back, self._ends
+        if not back.size:
+            return True
+        z, g = ends.w[2:, back], ends.new[:, back]
+        scale = self._ensemble.nominal[back] + np.abs(ends.w[0, back])
+        scales = np.vstack([scale, scale / length])
+        residual = (g - z) / scales
+        size = np.abs(residual)
+        if self._coupling.sweeps is not None:
+            ends.w[2:, back] = g
+            return count == self._coupling.sweeps
+        if size.max() <= self._accuracy:
+            return True
+        self._worst = int(back[size.max(axis=0).argmax()])
+        if self._coupling.acceleration == "broyden":
+            step = self._method.step((z / scales).ravel(), residual.ravel())
+            g = step.reshape(2, -1) * scales
+        ends.w[2:, back] = g
+        return False
+
+    def accept(self) -> None:
+        self._ends.close(self._length)
+        self._is_saved = False
+        self.estimated_error = max(self.estimated_error, self._error)
+        if self._ensemble.system.discrete_links:
+            self._ensemble.copy_discrete()
+
+    def reject(self) -> None:
+        self._method.H = self._H_before
+        if self._checkpoint is not None:
+            self._checkpoint.restore()
+
+    def first_step(self) -> float:
+        return self._ends.time_scale() * FIRST_CHANGE
+
+    def finish(self) -> None:
+        saved = self._checkpoint.calls if self._checkpoint is not None else 0
+        self.calls = self.sweeps * self._calls_per_sweep + self._exchange.calls + saved
