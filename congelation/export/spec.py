@@ -189,11 +189,14 @@ def _plant(section: Section, folder: str, model: Model, base: Path) -> FmuSpec:
     block = _block(rest, folder, model)
     names = model.theta.names if model.theta is not None else ()
     table = section.section("profile").only(names)
-    profiles = tuple(
-        Profile.from_spec(table.data.get(name, 0.0), table.at(name), str(base)) for name in names
-    )
+    profiles = tuple(_profile(table, name, base) for name in names)
     slotted = tuple(ProfileSlots(profile, _slots(profile)) for profile in profiles)
     return FmuSpec(block.name, folder, block.model, slotted)
+
+
+def _profile(table: Section, name: str, base: Path) -> Profile:
+    spec = table.data.get(name, 0.0)
+    return table.attempt(name, lambda: Profile.from_spec(spec, "term", str(base)))
 
 
 def _slots(profile: Profile) -> Slots:

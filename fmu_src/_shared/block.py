@@ -77,14 +77,15 @@ class Block(VariableTable):
         bound, computed = self._bound, self._computed
         values, slopes = self._inputs_now()
         try:
+            theta = self._theta_now()
             if reference in interface.DERIVATIVES:
                 group = interface.DERIVATIVES
-                numbers = bound.derivatives(self._x, values, slopes, *self._theta_now())
+                numbers = bound.derivatives(self._x, values, slopes, *theta)
             else:
                 group = interface.OUTPUTS
-                numbers = bound.outputs(self._x, values, *self._theta_now())
+                numbers = bound.outputs(self._x, values, *theta)
                 computed.update(zip(interface.GAINS, bound.gains))
-                computed.update(self._further_outputs())
+                computed.update(self._further_outputs(*theta))
             computed.update(zip(group, numbers))
         except (ArithmeticError, ValueError) as error:
             self._report(f"the outputs cannot be evaluated: {error}", Fmi2Status.error)
@@ -102,12 +103,12 @@ class Block(VariableTable):
                 Fmi2Status.error,
             )
 
-    def _further_outputs(self):
+    def _further_outputs(self, *theta):
         """Outputs besides those of the equations, as {value reference: value}."""
         return {}
 
     def _theta_now(self):
-        """The arguments that theta(t) adds to the equations."""
+        """theta(t) as the equations take it, where there is one."""
         return ()
 
     def _inputs_now(self):

@@ -47,11 +47,9 @@ class Plant(Block):
         pieces, _ = self._pieces_at(self._time)
         return (self._theta_of(pieces)(self._time),)
 
-    def _further_outputs(self):
-        pieces, end = self._pieces_at(self._time)
-        numbers = self._theta_of(pieces)(self._time)
-        outputs = dict(zip(interface.THETA, numbers))
-        outputs[interface.NEXT_EVENT] = end
+    def _further_outputs(self, theta):
+        outputs = dict(zip(interface.THETA, theta))
+        outputs[interface.NEXT_EVENT] = self._pieces_at(self._time)[1]
         return outputs
 
     def _advance(self, t, h):
