@@ -1,7 +1,7 @@
 """Build the FMUs: derive the equations, stage the sources, package, complete, validate, list.
 
-    python build_fmu.py                       every spec of specs/ that the paper's figures need
-    python build_fmu.py --spec FILE.toml      the plant and the controller of one spec
+python build_fmu.py                       every spec of specs/ that the paper's figures need
+python build_fmu.py --spec FILE.toml      the plant and the controller of one spec
 """
 
 from __future__ import annotations
