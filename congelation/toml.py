@@ -7,7 +7,7 @@ import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeGuard, TypeVar
 
 from congelation.errors import InvalidInput, nearest
 
@@ -114,14 +114,19 @@ class Section:
             raise self.wrong(key, "an array of strings")
         return tuple(value)
 
+    def numbers(self, key: str) -> tuple[float, ...]:
+        """The array of finite numbers under `key`; empty if there is none."""
+        value = self.data.get(key, [])
+        if not isinstance(value, list) or not all(_is_finite(v) for v in value):
+            raise self.wrong(key, "an array of numbers")
+        return tuple(float(v) for v in value)
+
     def number(self, key: str, valid: str = "a number") -> float:
         """The finite number under `key`."""
         if key not in self.data:
             raise self.error(key, f"is missing; give {valid}")
         value = self.data[key]
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise self.wrong(key, valid)
-        if not math.isfinite(value):
+        if not _is_finite(value):
             raise self.wrong(key, valid)
         return float(value)
 
@@ -135,6 +140,13 @@ class Section:
         if unit not in TIME_UNITS:
             raise quantity.error("unit", f"= '{unit}' is no time; {nearest(unit, TIME_UNITS)}")
         return quantity.number("value") * TIME_UNITS[unit]
+
+    def positive(self, key: str) -> float:
+        """The positive number under `key`."""
+        value = self.number(key, "a positive number")
+        if value <= 0.0:
+            raise self.wrong(key, "a positive number")
+        return value
 
     def attempt(self, key: str, action: Callable[[], T]) -> T:
         """The result of `action`; what it says of bad input gets this key's file and path."""
@@ -167,6 +179,10 @@ def parse_document(text: str, name: str) -> Section:
         return Section(name, "", tomllib.loads(text))
     except tomllib.TOMLDecodeError as error:
         raise InvalidInput(f"{name}: not valid TOML: {error}") from error
+
+
+def _is_finite(value: object) -> TypeGuard[float]:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _neighbours(file: Path) -> str:

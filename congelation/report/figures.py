@@ -1,0 +1,283 @@
+"""Print figures from stored results: the variables of all runs against time, as in the paper.
+
+One figure is a stack of panels over a common time axis, one panel per group of variables.
+Colour tells the elements of a vector apart, the line style tells the variants apart: solid for
+the first ("Controller 1"), dashed for the second. A panel ``|plant.x|`` shows the Euclidean norm of
+a group on a logarithmic axis, where a curve's slope is its rate of decay.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from congelation.errors import InvalidInput, nearest
+from congelation.report.labels import math_label, with_unit
+from congelation.study.metrics import norm
+from congelation.study.store import Store, Trajectory, replace_whole
+
+__all__ = ["FORMATS", "draw", "figure_names", "save"]
+
+Array = npt.NDArray[np.float64]
+
+FORMATS = ("pdf", "png")
+
+# M. Okabe and K. Ito, Color Universal Design, 2008: told apart under every common colour vision.
+_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+# Solid, dashed, dotted, dash-dotted: offset and lengths of dashes and gaps, in line widths.
+_STYLES = ((0.0, ()), (0.0, (3.7, 1.6)), (0.0, (1.0, 1.6)), (0.0, (6.4, 1.6, 1.0, 1.6)))
+_WIDTH = 3.5  # inches: a column of the IEEE format
+_PANEL_HEIGHT = 1.25  # inches
+_MARGIN_HEIGHT = 0.75  # inches: the legend above, the time axis below
+_RESOLUTION = 300  # dots per inch of the PNG files
+_BINS = 1500  # a column of print at 300 dpi has about 1000 dots; each bin keeps its extremes
+_SYMLOG_RATIO = 30.0  # curves this far apart in peak cannot share a linear axis
+_SYMLOG_FLOOR = 0.1  # the linear part reaches to this fraction of the smallest curve's peak
+_NORM_RANGE = 1e-5  # of the peak: what is below is at rest for every purpose
+_COMPLETED = "COMPLETED"
+_SETTINGS: dict[Any, Any] = {
+    "font.size": 8,
+    "axes.labelsize": 8,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "mathtext.fontset": "cm",
+    "axes.grid": True,
+    "grid.color": "0.9",
+    "grid.linewidth": 0.5,
+    "axes.linewidth": 0.6,
+    "lines.linewidth": 1.1,
+    "pdf.fonttype": 42,  # TrueType: journals refuse Type 3
+    "svg.hashsalt": "congelation",
+}
+
+
+@dataclass(frozen=True)
+class _Run:
+    """The part of a run that a figure shows."""
+
+    variant: str
+    completed: bool
+    trajectory: Trajectory
+
+
+@dataclass(frozen=True)
+class _Curve:
+    """One variable of one run, or the norm of a group; `label` is mathtext."""
+
+    label: str
+    variant: str
+    completed: bool
+    time: Array
+    values: Array
+    unit: str
+
+
+def figure_names(store: Store) -> tuple[str, ...]:
+    """The names of the figures that the stored study defines."""
+    return tuple(str(figure["name"]) for figure in store.read().about["figures"])
+
+
+def draw(store: Store, name: str) -> Figure:
+    """The figure called `name`, from the stored runs.
+
+    Raises
+    ------
+    InvalidInput
+        If the study defines no such figure, or its runs recorded none of a panel's variables.
+    """
+    study = store.read()
+    figures = {str(f["name"]): f for f in study.about["figures"]}
+    if name not in figures:
+        raise InvalidInput(f"{store.root} has no figure '{name}'; {nearest(name, figures)}")
+    start, stop = figures[name]["span"] or (-math.inf, math.inf)
+    runs = [
+        _Run(str(row["variant"]), row["status"] == _COMPLETED, _cut(trajectory, start, stop))
+        for row in study.rows
+        for trajectory in (store.trajectory(str(row["run_id"])),)
+    ]
+    with mpl.rc_context(_SETTINGS):
+        return _draw([run for run in runs if len(run.trajectory.time)], figures[name]["panels"])
+
+
+def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:
+    """Write a figure as PDF and PNG; returns the files."""
+    # It warns of the dates in Matplotlib's own fonts, which nobody here can mend.
+    logging.getLogger("fontTools").setLevel(logging.ERROR)
+    files = tuple(folder / f"{name}.{suffix}" for suffix in FORMATS)
+    with mpl.rc_context(_SETTINGS):
+        for file, suffix in zip(files, FORMATS, strict=True):
+            metadata = {"CreationDate": None} if suffix == "pdf" else {"Software": None}
+
+            def write(temporary: Path, suffix: str = suffix, about: object = metadata) -> None:
+                figure.savefig(temporary, format=suffix, dpi=_RESOLUTION, metadata=about)
+
+            replace_whole(file, write)
+    return files
+
+
+def _draw(runs: Sequence[_Run], panels: Sequence[str]) -> Figure:
+    variants = [run.variant for run in runs]
+    figure = Figure(
+        figsize=(_WIDTH, _MARGIN_HEIGHT + _PANEL_HEIGHT * len(panels)), layout="constrained"
+    )
+    axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
+    drawn: set[str] = set()
+    for axis, panel in zip(axes, panels, strict=True):
+        curves = list(_norms(runs, panel) if _is_norm(panel) else _curves(runs, panel))
+        if not curves:
+            raise InvalidInput(f"no run recorded '{panel}' in the span of the figure")
+        curves = _without_repeats(curves)
+        drawn |= {curve.variant for curve in curves}
+        _panel(axis, panel, curves, variants)
+    axes[-1].set_xlabel(with_unit("$t$", "s"))
+    axes[-1].set_xlim(
+        min(float(run.trajectory.time[0]) for run in runs),
+        max(float(run.trajectory.time[-1]) for run in runs),
+    )
+    if len(drawn) > 1:
+        handles = [
+            Line2D([], [], color="black", linestyle=_style(variants, v), label=v) for v in variants
+        ]
+        figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False)
+    figure.align_ylabels()
+    return figure
+
+
+def _is_norm(panel: str) -> bool:
+    return panel.startswith("|")
+
+
+def _cut(trajectory: Trajectory, start: float, stop: float) -> Trajectory:
+    inside = (trajectory.time >= start) & (trajectory.time <= stop)
+    return replace(trajectory, time=trajectory.time[inside], values=trajectory.values[inside])
+
+
+def _curves(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:
+    for run in runs:
+        for column in run.trajectory.group(panel):
+            time, values = _thin(run.trajectory.time, run.trajectory.select((column,))[:, 0])
+            unit = run.trajectory.units.get(column, "")
+            label = math_label(column.partition(".")[2])
+            yield _Curve(label, run.variant, run.completed, time, values, unit)
+
+
+def _norms(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:
+    group = panel.strip("|")
+    for run in runs:
+        columns = run.trajectory.group(group)
+        if columns:
+            size = norm(run.trajectory.select(columns))
+            time, values = _thin(run.trajectory.time, size)
+            units = {run.trajectory.units.get(column, "") for column in columns}
+            unit = units.pop() if len(units) == 1 else ""
+            label = f"|{math_label(group.partition('.')[2])}|"
+            yield _Curve(label, run.variant, run.completed, time, values, unit)
+
+
+def _without_repeats(curves: Sequence[_Curve]) -> list[_Curve]:
+    """`curves` without those that equal an earlier one, e.g. the same theta in every variant."""
+    kept: list[_Curve] = []
+    for curve in curves:
+        if not any(_same(curve, other) for other in kept):
+            kept.append(curve)
+    return kept
+
+
+def _same(a: _Curve, b: _Curve) -> bool:
+    return a.label == b.label and bool(
+        np.array_equal(a.time, b.time) and np.array_equal(a.values, b.values)
+    )
+
+
+def _panel(axis: Axes, panel: str, curves: Sequence[_Curve], variants: Sequence[str]) -> None:
+    units = {curve.label: curve.unit for curve in curves}
+    labels = list(units)
+    for curve in curves:
+        colour = _COLOURS[labels.index(curve.label) % len(_COLOURS)]
+        axis.plot(curve.time, curve.values, color=colour, linestyle=_style(variants, curve.variant))
+        if not curve.completed:  # a cross where the run ended
+            axis.plot(curve.time[-1:], curve.values[-1:], color=colour, marker="x", clip_on=False)
+    if _is_norm(panel):
+        _logarithmic(axis, curves)
+    else:
+        _scale(axis, curves)
+    common_unit = curves[0].unit if len(set(units.values())) == 1 else ""
+    if len(labels) == 1:
+        axis.set_ylabel(with_unit(labels[0], common_unit))
+        return
+    axis.set_ylabel(with_unit(math_label(panel.partition(".")[2]), common_unit))
+    handles = [
+        Line2D(
+            [],
+            [],
+            color=_COLOURS[i % len(_COLOURS)],
+            label=label if common_unit else with_unit(label, units[label]),
+        )
+        for i, label in enumerate(labels)
+    ]
+    axis.legend(
+        handles=handles,
+        loc="lower right",
+        bbox_to_anchor=(1.0, 0.98),  # above the panel, where it hides no curve
+        ncols=len(handles),
+        frameon=False,
+        handlelength=1.0,
+        borderpad=0.0,
+    )
+
+
+def _logarithmic(axis: Axes, curves: Sequence[_Curve]) -> None:
+    highest = max(float(np.max(curve.values, initial=0.0)) for curve in curves)
+    if highest > 0.0:
+        axis.set_yscale("log")
+        axis.set_ylim(_NORM_RANGE * highest, 2.0 * highest)
+
+
+def _scale(axis: Axes, curves: Sequence[_Curve]) -> None:
+    """A symmetric logarithmic axis where the variants differ by orders of magnitude."""
+    peaks: dict[str, float] = {}
+    for curve in curves:
+        largest = float(np.max(np.abs(curve.values), initial=0.0))
+        peaks[curve.variant] = max(largest, peaks.get(curve.variant, 0.0))
+    nonzero = [p for p in peaks.values() if p > 0.0]
+    if not nonzero or max(nonzero) <= _SYMLOG_RATIO * min(nonzero):
+        return
+    lowest = math.floor(math.log10(_SYMLOG_FLOOR * min(nonzero)))
+    highest = math.floor(math.log10(max(nonzero)))
+    axis.set_yscale("symlog", linthresh=10.0**lowest, linscale=1.0)
+    # The decades to label: at most three each side, the highest always.
+    step = math.ceil((highest - lowest) / 3)
+    decades = [10.0**k for k in range(highest, lowest, -step)]
+    axis.set_yticks([*(-d for d in decades), 0.0, *reversed(decades)])
+
+
+def _style(variants: Sequence[str], variant: str) -> tuple[float, Sequence[float]]:
+    return _STYLES[variants.index(variant) % len(_STYLES)]
+
+
+def _thin(time: Array, values: Array) -> tuple[Array, Array]:
+    """The rows that a print can show: the first and last, and the extremes of every bin."""
+    finite = np.isfinite(values)
+    time, values = time[finite], values[finite]
+    if len(time) <= 2 * _BINS:
+        return time, values
+    edges = np.linspace(0, len(time), _BINS + 1).astype(int)
+    keep = {0, len(time) - 1}
+    for start, stop in itertools.pairwise(edges):
+        keep.add(start + int(np.argmin(values[start:stop])))
+        keep.add(start + int(np.argmax(values[start:stop])))
+    rows = np.array(sorted(keep))
+    return time[rows], values[rows]

@@ -1,0 +1,196 @@
+"""A scenario: one coupled system, its experiment, what to measure and draw, and its variants."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from functools import partial
+from pathlib import Path
+
+from congelation.cosim.coupling import make_coupling
+from congelation.cosim.system import System
+from congelation.study.metrics import Metric
+from congelation.study.start_values import Scalar
+from congelation.toml import Section
+
+__all__ = [
+    "Case",
+    "Experiment",
+    "FigureSpec",
+    "MetricSpec",
+    "Scenario",
+    "Variant",
+]
+
+EXPERIMENT = "experiment"
+"""Name of the table, and what settings of its keys begin with."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What to do with a system.
+
+    Parameters
+    ----------
+    stop_time, step : float
+        Seconds; `step` is the distance of the communication points.
+    record : tuple of str
+        Names ``component.variable``; a vector's name stands for its elements.
+    start_time : float
+        Seconds.
+    coupling : str
+        How inputs move between communication points, one of `congelation.cosim.coupling`.
+    options : mapping
+        Options of the coupling.
+    slave_tolerance : float, optional
+        Relative tolerance of the integration inside the FMUs.
+    """
+
+    stop_time: float
+    step: float
+    record: tuple[str, ...]
+    start_time: float = 0.0
+    coupling: str = "derivative"
+    options: Mapping[str, object] = field(default_factory=dict)
+    slave_tolerance: float | None = None
+
+
+@dataclass(frozen=True)
+class MetricSpec:
+    """A metric of a group of variables, under the name of its column."""
+
+    name: str
+    metric: Metric
+    of: str
+    options: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class FigureSpec:
+    """A figure: one panel per group of variables, ``|plant.x|`` for the norm of a group.
+
+    `span` is the part of the time axis to show, in seconds; None: all of it.
+    """
+
+    name: str
+    panels: tuple[str, ...]
+    span: tuple[float, float] | None = None
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """What the panels show."""
+        return tuple(panel.strip("|") for panel in self.panels)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A named change of the scenario.
+
+    `settings` maps ``component.variable`` and ``experiment.key`` to values.
+    """
+
+    name: str
+    settings: Mapping[str, Scalar]
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scenario with all settings applied: what one run does."""
+
+    system: System
+    experiment: Experiment
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A scenario as its file states it.
+
+    Parameters
+    ----------
+    title : str
+    file : Path
+    text : str
+        The file's text, kept for the record.
+    system : System
+        Components with flat start values, before a variant changes any.
+    experiment : mapping
+        The keys of the experiment table, before a variant changes any; `record` holds all that
+        metrics and figures need as well.
+    metrics, figures, variants : tuple
+        A scenario without variants has one, named after the file.
+    """
+
+    title: str
+    file: Path
+    text: str
+    system: System
+    experiment: Mapping[str, object]
+    metrics: tuple[MetricSpec, ...] = ()
+    figures: tuple[FigureSpec, ...] = ()
+    variants: tuple[Variant, ...] = ()
+
+    def case(self, settings: Mapping[str, Scalar]) -> Case:
+        """This scenario with `settings` applied.
+
+        Raises
+        ------
+        InvalidInput
+            If the experiment does not stand with these settings.
+        """
+        changes: dict[str, dict[str, Scalar]] = {EXPERIMENT: {}}
+        for name, value in settings.items():
+            owner, _, key = name.partition(".")
+            changes.setdefault(owner, {})[key] = value
+        components = tuple(
+            replace(c, start={**c.start, **changes.get(c.name, {})}) for c in self.system.components
+        )
+        changed = Section(str(self.file), EXPERIMENT, changes[EXPERIMENT])
+        return Case(replace(self.system, components=components), self._experiment(changed))
+
+    def experiment_values(self, changed: Section) -> dict[str, Scalar]:
+        """The experiment's settings in a table, as plain numbers and names.
+
+        Raises
+        ------
+        InvalidInput
+            If the experiment does not stand with them.
+        """
+        changed.only(f.name for f in fields(Experiment) if f.name not in ("record", "options"))
+        experiment = self._experiment(changed)
+        return {key: getattr(experiment, key) for key in changed.data}
+
+    def _experiment(self, changed: Section) -> Experiment:
+        """The experiment with some keys changed, which stand elsewhere in the file."""
+        elsewhere = {key: changed.at(key) for key in changed.data}
+        merged = {**self.experiment, **changed.data}
+        return read_experiment(Section(str(self.file), EXPERIMENT, merged, elsewhere))
+
+
+def read_experiment(section: Section) -> Experiment:
+    """The experiment that a table describes.
+
+    Raises
+    ------
+    InvalidInput
+        Naming the key and what would be valid.
+    """
+    section.only(f.name for f in fields(Experiment))
+    start = section.seconds("start_time") if "start_time" in section.data else 0.0
+    stop = section.seconds("stop_time")
+    if stop <= start:
+        raise section.wrong("stop_time", f"a time after start_time = {start:g}")
+    tolerance = section.positive("slave_tolerance") if "slave_tolerance" in section.data else None
+    if section.seconds("step") <= 0.0:
+        raise section.wrong("step", "a positive time")
+    coupling = section.text("coupling", "derivative")
+    options = dict(section.section("options").data)
+    section.attempt("coupling", partial(make_coupling, coupling, options))
+    return Experiment(
+        stop_time=stop,
+        step=section.seconds("step"),
+        record=section.texts("record"),
+        start_time=start,
+        coupling=coupling,
+        options=options,
+        slave_tolerance=tolerance,
+    )

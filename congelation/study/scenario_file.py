@@ -1,0 +1,186 @@
+"""Scenario files: TOML in, a checked `Scenario` out.
+
+Everything is checked when the file is read, against the model descriptions of the FMUs, so that
+a mistake is told with its place in the file before anything runs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from congelation.cosim.description import describe
+from congelation.cosim.system import Component, Connection, System
+from congelation.errors import InvalidInput, nearest
+from congelation.study.metrics import metric
+from congelation.study.scenario import EXPERIMENT, FigureSpec, MetricSpec, Scenario, Variant
+from congelation.study.start_values import Scalar, profile_values, start_values
+from congelation.toml import Section, read_document
+
+__all__ = ["load_scenario"]
+
+_KEYS = ("title", "connections", "components", EXPERIMENT, "metrics", "figures", "variants")
+# Columns that every row has; a metric of the same name would hide one.
+_RESERVED = ("run_id", "variant", "status", "message", "wall_time", "macro_steps", "seed")
+_BUILD = "build it with: python build_fmu.py"
+
+
+def load_scenario(file: Path) -> Scenario:
+    """Read a scenario.
+
+    Raises
+    ------
+    InvalidInput
+        Naming the file, the path of the key, and what would be valid.
+    """
+    text, document = read_document(file)
+    document.only(_KEYS).require("title", "components", EXPERIMENT)
+    tables = document.section("components").subsections()
+    components = tuple(_component(section, name) for name, section in tables)
+    connections = tuple(
+        document.attempt("connections", partial(Connection.parse, connection))
+        for connection in document.texts("connections")
+    )
+    scenario = Scenario(
+        title=document.text("title"),
+        file=file,
+        text=text,
+        system=System(components, connections),
+        experiment=document.section(EXPERIMENT).data,
+        metrics=tuple(_metric(s, name) for name, s in document.section("metrics").subsections()),
+        figures=tuple(_figure(s) for s in document.sections("figures")),
+    )
+    scenario = replace(scenario, experiment=_with_record(document, scenario))
+    scenario.case({})
+    return replace(scenario, variants=_variants(document, scenario))
+
+
+def _component(section: Section, name: str) -> Component:
+    section.only(("fmu", "start", "profile"))
+    if name == EXPERIMENT:
+        raise InvalidInput(f"{section.file}: {section.path}: choose a name other than '{name}'")
+    fmu = _find_fmu(section)
+    return Component(name, fmu, _values(section, fmu, section.section("start")))
+
+
+def _values(section: Section, fmu: Path, start: Section) -> dict[str, Scalar]:
+    """The values of `start` and of the profile table of `section`, by scalar variable."""
+    description = section.attempt("fmu", partial(describe, fmu))
+    values = start_values(start, description)
+    profile = profile_values(section.section("profile"), description)
+    for twice in sorted(values.keys() & profile.keys()):
+        raise start.error(twice, "is given by the profile as well; leave one of them out")
+    return values | profile
+
+
+def _find_fmu(section: Section) -> Path:
+    """The file that `fmu` names: a path from the scenario's folder, or a name in a fmus/ folder."""
+    name = section.text("fmu")
+    home = Path(section.file).absolute().parent
+    if name.endswith(".fmu"):
+        return home / name
+    folders = [folder / "fmus" for folder in (home, *home.parents, Path.cwd())]
+    for folder in folders:
+        if (folder / f"{name}.fmu").is_file():
+            return folder / f"{name}.fmu"
+    built = sorted({f.stem for folder in folders for f in folder.glob("*.fmu")})
+    remedy = f"{nearest(name, built)} Or {_BUILD}" if built else _BUILD
+    raise section.error("fmu", f"= '{name}' is no FMU in fmus/; {remedy}")
+
+
+def _metric(section: Section, name: str) -> MetricSpec:
+    if name in _RESERVED or "." in name:
+        raise InvalidInput(f"{section.file}: {section.path}: choose a name other than '{name}'")
+    section.require("metric", "of")
+    found = section.attempt("metric", partial(metric, section.text("metric")))
+    section.only(("metric", "of", *found.options))
+    section.require(*(option for option, required in found.options.items() if required))
+    options = {key: section.number(key) for key in section.data if key in found.options}
+    return MetricSpec(name, found, section.text("of"), options)
+
+
+def _figure(section: Section) -> FigureSpec:
+    section.only(("name", "panels", "span")).require("panels")
+    name = section.text("name")
+    if not name.replace("_", "").replace("-", "").isalnum():
+        raise section.wrong("name", "letters, digits, - and _, as it names a file")
+    if not section.texts("panels"):
+        raise section.wrong("panels", "at least one variable")
+    span = section.numbers("span")
+    if span and (len(span) != 2 or span[0] >= span[1]):
+        raise section.wrong("span", "[start, stop] in seconds")
+    return FigureSpec(name, section.texts("panels"), (span[0], span[1]) if span else None)
+
+
+def _variants(document: Section, scenario: Scenario) -> tuple[Variant, ...]:
+    variants: list[Variant] = []
+    for section in document.sections("variants"):
+        name = section.only(("name", "set")).text("name")
+        if any(name == other.name for other in variants):
+            raise section.error("name", f"= '{name}' is given twice; names must differ")
+        variants.append(Variant(name, _settings(section.section("set"), scenario)))
+    return tuple(variants) or (Variant(scenario.file.stem, {}),)
+
+
+def _settings(section: Section, scenario: Scenario) -> dict[str, Scalar]:
+    """The flat settings ``owner.key`` of a variant; owners are the components and `experiment`."""
+    owners = _by_owner(section)
+    fmus = {component.name: component.fmu for component in scenario.system.components}
+    flat: dict[str, Scalar] = {}
+    for owner in owners.data:
+        if owner not in (*fmus, EXPERIMENT):
+            raise section.error(owner, f"is no component; {nearest(owner, (*fmus, EXPERIMENT))}")
+        changed = owners.section(owner)
+        values = (
+            scenario.experiment_values(changed)
+            if owner == EXPERIMENT
+            else _values(changed, fmus[owner], changed.without("profile"))
+        )
+        flat |= {f"{owner}.{key}": value for key, value in values.items()}
+    scenario.case(flat)
+    return flat
+
+
+def _by_owner(section: Section) -> Section:
+    """`section` with its keys ``owner.key`` and ``owner.profile.theta[j]`` as nested tables."""
+    grouped: dict[str, dict[str, object]] = {}
+    profiles: dict[str, dict[str, object]] = {}
+    for name, value in section.data.items():
+        owner, dot, key = name.partition(".")
+        table = grouped.setdefault(owner, {})
+        if dot and key.startswith("profile."):
+            profiles.setdefault(owner, {})[key.removeprefix("profile.")] = value
+        elif dot:
+            table[key] = value
+        elif isinstance(value, Mapping):
+            table.update(value)
+        else:
+            raise section.error(name, "is no setting; write it as 'component.variable'")
+    for owner, profile in profiles.items():
+        grouped[owner]["profile"] = profile
+    return replace(section, data=grouped)
+
+
+def _with_record(document: Section, scenario: Scenario) -> dict[str, object]:
+    """The experiment with the columns to record: what it names, what is measured and drawn.
+
+    An experiment that names none records every number among the outputs.
+    """
+    try:
+        resolved = scenario.system.resolve()
+    except InvalidInput as error:
+        raise InvalidInput(f"{scenario.file}: {error}") from error
+    experiment = document.section(EXPERIMENT)
+    wanted = experiment.texts("record") or None
+    columns = list(experiment.attempt("record", partial(resolved.recorded, wanted)))
+    for spec in scenario.metrics:
+        section = document.section("metrics").section(spec.name)
+        group = section.attempt("of", partial(resolved.recorded, [spec.of]))
+        section.attempt("of", partial(spec.metric.check_size, len(group)))
+        columns += group
+    for figure, section in zip(scenario.figures, document.sections("figures"), strict=True):
+        columns += section.attempt("panels", partial(resolved.recorded, figure.variables))
+    names = dict.fromkeys(column.name for column in columns)
+    return {**experiment.data, "record": list(names)}

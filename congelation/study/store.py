@@ -1,0 +1,242 @@
+"""The result directory: one trajectory file and one row per run, each written once, whole.
+
+    DIR/trajectories/<run_id>.parquet   column ``time`` and one column per recorded variable
+    DIR/parts/<run_id>.parquet          the row of a finished run, written after its trajectory
+    DIR/runs.parquet                    all rows, compacted from the parts
+
+Files appear by renaming a complete temporary file in the same directory, so a reader never sees
+half of one, and a run is finished exactly if its row exists.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+import congelation
+from congelation.errors import CongelationError, InvalidInput
+
+__all__ = ["Store", "Study", "Trajectory", "code_version", "content_hash", "file_hash"]
+
+Row = Mapping[str, object]
+
+_METADATA = b"congelation"
+_ID_LENGTH = 16  # hex digits; 64 bits, so 10^6 runs collide with probability 3e-8
+
+
+def content_hash(content: object) -> str:
+    """Identifier of JSON-representable `content`: equal content, equal identifier."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=True)
+    return hashlib.sha256(text.encode()).hexdigest()[:_ID_LENGTH]
+
+
+def file_hash(file: Path) -> str:
+    """SHA-256 of a file, in hex."""
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+@cache
+def code_version() -> str:
+    """Version of congelation and a digest of its sources: ``0.1.0+5f0c9a1d2b3e``."""
+    root = Path(congelation.__file__).parent
+    digest = hashlib.sha256()
+    for source in sorted(root.rglob("*.py")):
+        digest.update(source.relative_to(root).as_posix().encode() + b"\0")
+        digest.update(source.read_bytes() + b"\0")
+    try:
+        number = version("congelation")
+    except PackageNotFoundError:  # used from a source tree that is not installed
+        number = "0"
+    return f"{number}+{digest.hexdigest()[:12]}"
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A recorded run: row k of `values` belongs to ``time[k]``.
+
+    Parameters
+    ----------
+    time : numpy.ndarray
+        Shape (N,), in seconds.
+    columns : tuple of str
+        M names ``component.variable``.
+    values : numpy.ndarray
+        Shape (N, M).
+    units : mapping
+        Unit of each column; a missing or empty one is dimensionless.
+    """
+
+    time: npt.NDArray[np.float64]
+    columns: tuple[str, ...]
+    values: npt.NDArray[np.float64]
+    units: Mapping[str, str]
+
+    def group(self, name: str) -> tuple[str, ...]:
+        """Columns called `name` or ``name[..]``, in order; ``plant.x`` is all of the vector x."""
+        return tuple(c for c in self.columns if c == name or c.startswith(f"{name}["))
+
+    def select(self, columns: Sequence[str]) -> npt.NDArray[np.float64]:
+        """The values of some columns, shape (N, len(columns))."""
+        return self.values[:, [self.columns.index(c) for c in columns]]
+
+
+@dataclass(frozen=True)
+class Study:
+    """What a result directory holds: its rows, and the study they belong to.
+
+    Parameters
+    ----------
+    rows : tuple of mapping
+        One per run; every row has every column, None where it does not apply.
+    about : mapping
+        Title, scenario text, figures, metric definitions and versions, as they were stored.
+    """
+
+    rows: tuple[dict[str, Any], ...]
+    about: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Store:
+    """A result directory."""
+
+    root: Path
+
+    @property
+    def index(self) -> Path:
+        return self.root / "runs.parquet"
+
+    def trajectory_file(self, run_id: str) -> Path:
+        return self.root / "trajectories" / f"{run_id}.parquet"
+
+    def part_file(self, run_id: str) -> Path:
+        return self.root / "parts" / f"{run_id}.parquet"
+
+    def create(self) -> None:
+        """Make the directory, so that a bad place is told before the first run, not after it."""
+        try:
+            for folder in (self.root / "trajectories", self.root / "parts"):
+                folder.mkdir(parents=True, exist_ok=True)
+            if not os.access(self.root, os.W_OK):
+                raise PermissionError(13, "Permission denied")
+        except OSError as error:
+            raise InvalidInput(
+                f"results cannot be written to {self.root}: {error.strerror}"
+            ) from error
+
+    def write(self, row: Row, trajectory: Trajectory) -> None:
+        """Store a finished run: its trajectory first, then its row."""
+        run_id = str(row["run_id"])
+        _write_whole(_trajectory_table(trajectory), self.trajectory_file(run_id))
+        _write_whole(pa.Table.from_pylist([dict(row)]), self.part_file(run_id))
+
+    def finished(self) -> set[str]:
+        """The run_ids that have a row."""
+        return {part.stem for part in (self.root / "parts").glob("[!.]*.parquet")}
+
+    def compact(self, run_ids: Sequence[str], about: Mapping[str, object]) -> None:
+        """Write runs.parquet: the rows of `run_ids`, in that order.
+
+        Runs that an earlier runs.parquet of this directory listed and this one does not are
+        removed, so that a directory never mixes two states of a scenario.
+        """
+        parts = [pq.read_table(self.part_file(run_id)) for run_id in run_ids]
+        table = pa.concat_tables(parts, promote_options="permissive")
+        metadata = {_METADATA: json.dumps(dict(about)).encode()}
+        _write_whole(table.replace_schema_metadata(metadata), self.index)
+        for stale in self.finished() - set(run_ids):
+            self.part_file(stale).unlink(missing_ok=True)
+            self.trajectory_file(stale).unlink(missing_ok=True)
+
+    def read(self) -> Study:
+        """The rows and the study of this directory.
+
+        Raises
+        ------
+        InvalidInput
+            If it holds no readable runs.parquet.
+        """
+        table = _read(self.index, f"{self.root} is no result directory")
+        about = (table.schema.metadata or {}).get(_METADATA)
+        if about is None:
+            raise InvalidInput(f"{self.index} was not written by congelation")
+        return Study(tuple(table.to_pylist()), json.loads(about))
+
+    def trajectory(self, run_id: str) -> Trajectory:
+        """The trajectory of a run.
+
+        Raises
+        ------
+        InvalidInput
+            If there is none, or if its file is damaged.
+        """
+        table = _read(self.trajectory_file(run_id), f"run {run_id} has no trajectory")
+        columns = tuple(name for name in table.column_names if name != "time")
+        values = [table[name].to_numpy() for name in columns]
+        units = {
+            name: (table.schema.field(name).metadata or {}).get(b"unit", b"").decode()
+            for name in columns
+        }
+        time = table["time"].to_numpy()
+        return Trajectory(time, columns, np.array(values).T.reshape(len(time), -1), units)
+
+
+def _trajectory_table(trajectory: Trajectory) -> pa.Table:
+    units = {"time": "s", **trajectory.units}
+    names = ("time", *trajectory.columns)
+    fields = [pa.field(n, pa.float64(), metadata={"unit": units.get(n, "")}) for n in names]
+    arrays = [trajectory.time, *trajectory.values.T]
+    return pa.Table.from_arrays([pa.array(a) for a in arrays], schema=pa.schema(fields))
+
+
+def _write_whole(table: pa.Table, file: Path) -> None:
+    """Write a Parquet file that appears complete or not at all."""
+    replace_whole(file, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
+
+
+def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a temporary file beside `file`, then rename it into place.
+
+    Raises
+    ------
+    CongelationError
+        If the file cannot be written: no space, no permission.
+    """
+    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write(temporary)
+        temporary.replace(file)
+    except OSError as error:
+        raise CongelationError(f"{file} cannot be written: {error}") from error
+    finally:
+        _discard(temporary)
+
+
+def _discard(file: Path) -> None:
+    try:
+        file.unlink(missing_ok=True)
+    except OSError:  # the error that brought us here says why; this one would only hide it
+        return
+
+
+def _read(file: Path, missing: str) -> pa.Table:
+    try:
+        return pq.ParquetFile(file).read()
+    except FileNotFoundError as error:
+        raise InvalidInput(f"{missing}: {file} does not exist") from error
+    except (OSError, pa.ArrowInvalid) as error:
+        raise InvalidInput(f"{file} is damaged: {str(error).splitlines()[0]}") from error
