@@ -37,12 +37,26 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import casadi as ca
 
 from congelation.theory.model import Domain, Parameter, Variables, scalar, vector
 
-__all__ = ["Adaptation", "AdaptationFactory", "Gradient", "Robust", "gradient", "robust"]
+__all__ = [
+    "NEUTRAL",
+    "Adaptation",
+    "AdaptationFactory",
+    "Gradient",
+    "Robust",
+    "gradient",
+    "robust",
+]
+
+NEUTRAL = MappingProxyType(
+    {"adapt": 1.0, "sigma": 0.0, "projection_ball": 0.0, "projection_box": 0.0, "dead_zone": 0.0}
+)
+"""With these settings `robust` is `gradient`, whatever its other parameters are."""
 
 PROJECTION_SMOOTHING = 1e-3
 """nu in s(a) = (a + sqrt(a^2 + nu^2)) / 2, the smooth max(a, 0) of [C], per second. At the edge of

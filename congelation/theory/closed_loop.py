@@ -157,6 +157,17 @@ class ClosedLoop:
         bound: list[ca.SX] = ca.substitute(list(expressions), symbols, numbers)
         return bound
 
+    def state(self, side: str, name: str) -> Variables:
+        """The state `name` of the ``plant`` or the ``controller``."""
+        model = self.plant if side == "plant" else self.controller
+        return next(s.variables for s in model.states if s.variables.name == name)
+
+    def bound_signal(self, name: str) -> ca.SX:
+        """The output ``plant.x``, ``controller.z``, .. as a column, with numbers for parameters."""
+        rows = [k for k, full in enumerate(self.output_names) if full.split("[")[0] == name]
+        (output,) = self.bind([self.output])
+        return output[rows]
+
     def solve(
         self,
         segments: Sequence[Segment],

@@ -18,8 +18,10 @@ from congelation.errors import InfeasibleDesign, InvalidInput
 
 __all__ = [
     "RULES",
-    "checked_filter_gain",
     "filter_matrix",
+    "filter_norm",
+    "filter_riccati",
+    "hurwitz_filter_gain",
     "iss_filter_gain",
     "iss_filter_gain_varying_b",
     "iss_riccati",
@@ -35,9 +37,9 @@ Matrix = NDArray[np.float64]
 RESIDUAL_TOLERANCE = 1e-8
 """Largest residual of a Riccati equation, relative to its largest term, that counts as solved."""
 
-FEASIBLE_R_TOLERANCE = 1e-9
-"""Relative width at which the bisection for the smallest feasible r stops: far below any use of
-r, far above the rounding of the Riccati solver next to the infeasible edge."""
+FEASIBLE_TOLERANCE = 1e-9
+"""Relative width at which the bisection for a smallest feasible number stops: far below any use
+of it, far above the rounding of the Riccati solver next to the infeasible edge."""
 
 
 def upper_shift(n: int) -> Matrix:
@@ -128,23 +130,11 @@ def smallest_feasible_r(n: int, Q: ArrayLike) -> float:
     Returns
     -------
     r : float
-        Feasible, and within `FEASIBLE_R_TOLERANCE` of an infeasible value.
+        Feasible, and within `FEASIBLE_TOLERANCE` of an infeasible value.
     """
     weight = _square(Q, n, "Q")
     # The feasible r form a half-line: if X solves (41) for r, it solves it for every larger r.
-    high = 1.0
-    while iss_riccati(high, weight) is None:
-        high *= 2.0
-    low = high / 2.0
-    while iss_riccati(low, weight) is not None:
-        low, high = low / 2.0, low
-    while high - low > FEASIBLE_R_TOLERANCE * high:
-        middle = (low + high) / 2.0
-        if iss_riccati(middle, weight) is None:
-            low = middle
-        else:
-            high = middle
-    return high
+    return _least(lambda r: iss_riccati(r, weight) is not None)
 
 
 def iss_filter_gain(r: float, epsilon: float, *, n: int) -> Matrix:
@@ -197,18 +187,49 @@ def placed_filter_gain(poles: Sequence[complex]) -> Matrix:
     coefficients = np.poly(np.asarray(poles))
     if np.iscomplexobj(coefficients):
         raise InvalidInput(f"poles {list(poles)}: complex poles must come in conjugate pairs")
-    return checked_filter_gain(coefficients[1:])
+    return hurwitz_filter_gain(coefficients[1:])
 
 
-def checked_filter_gain(k: ArrayLike) -> Matrix:
+def hurwitz_filter_gain(k: ArrayLike) -> Matrix:
     """`k` itself, if it makes A_f = S - k e_1^T Hurwitz, as every K-filter needs."""
     gain = np.asarray(k, dtype=float).ravel()
     if not np.isfinite(gain).all() or not _hurwitz(filter_matrix(gain)):
         raise InvalidInput(
             f"k = {_listed(gain)} does not make A_f = S - k e_1^T Hurwitz; "
-            "valid: the coefficients k_1 .. k_n of a Hurwitz polynomial s^n + k_1 s^(n-1) + .. "
+            "valid: the coefficients of a Hurwitz polynomial s^n + k_1 s^(n-1) + .. + k_n"
         )
     return gain
+
+
+def filter_riccati(k: ArrayLike, gain: float) -> Matrix | None:
+    """P > 0 with A_f^T P + P A_f + P^2 / gain^2 + I = 0, or None where there is none.
+
+    Then V = x_tilde^T P x_tilde obeys V' <= -|x_tilde|^2 + gain^2 |F^T Delta|^2 along (40), for any
+    Hurwitz A_f: the bounded real lemma. For the ISS filter r^2 X^-1 is a solution for the gain
+    r epsilon, which makes (42) a special case.
+
+    Parameters
+    ----------
+    k : array_like, shape (n,)
+        With A_f = S - k e_1^T Hurwitz.
+    gain : float
+        Positive.
+    """
+    A_f = filter_matrix(k)
+    identity = np.eye(A_f.shape[0])
+    return _riccati(A_f, identity, identity, -(gain**2) * identity)
+
+
+def filter_norm(k: ArrayLike) -> Matrix:
+    """The least gain for which `filter_riccati` has a solution: the H-infinity norm of (40).
+
+    Returns
+    -------
+    gain : ndarray, shape (1,)
+        At least the norm of (s I - A_f)^-1, by no more than `FEASIBLE_TOLERANCE` of it.
+    """
+    gain = hurwitz_filter_gain(k)
+    return np.array([_least(lambda g: filter_riccati(gain, g) is not None)])
 
 
 def matched_riccati(
@@ -278,6 +299,23 @@ def _filter_gain(r: float, Q: Matrix, given: str) -> Matrix:
     return X[:, 0] / 2
 
 
+def _least(feasible: Callable[[float], bool]) -> float:
+    """The lower end of a half-line of feasible positive numbers, from its feasible side."""
+    high = 1.0
+    while not feasible(high):
+        high *= 2.0
+    low = high / 2.0
+    while feasible(low):
+        low, high = low / 2.0, low
+    while high - low > FEASIBLE_TOLERANCE * high:
+        middle = (low + high) / 2.0
+        if feasible(middle):
+            high = middle
+        else:
+            low = middle
+    return high
+
+
 def _game_riccati(A: Matrix, B: Matrix, Q: Matrix, weight: float) -> Matrix | None:
     """P > 0 with A^T P + P A - weight P B B^T P + Q = 0 and A - weight B B^T P Hurwitz."""
     if weight == 0:
@@ -328,7 +366,8 @@ def _listed(values: Matrix) -> str:
 
 RULES: Mapping[str, Callable[..., Matrix]] = MappingProxyType(
     {
-        "checked_filter_gain": checked_filter_gain,
+        "filter_norm": filter_norm,
+        "hurwitz_filter_gain": hurwitz_filter_gain,
         "iss_filter_gain": iss_filter_gain,
         "iss_filter_gain_varying_b": iss_filter_gain_varying_b,
         "matched_riccati": matched_riccati,

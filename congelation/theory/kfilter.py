@@ -6,14 +6,118 @@ congealed parameters ell in the place of theta, x_tilde obeys (40).
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import casadi as ca
 
-from congelation.theory.model import Variables
+from congelation.theory.gains import iss_weight, placed_filter_gain, smallest_feasible_r
+from congelation.theory.model import Domain, Gain, Parameter, Variables, scalar, vector
 from congelation.theory.observer_form import checked_orders
 
-__all__ = ["KFilter"]
+__all__ = [
+    "FilterDesign",
+    "FilterFactory",
+    "KFilter",
+    "iss_filter",
+    "standard_filter",
+    "varying_b_filter",
+]
+
+
+@dataclass(frozen=True)
+class FilterDesign:
+    """Where the injection gain k comes from, and how much of Delta the filter lets through.
+
+    Attributes
+    ----------
+    k : Variables, shape (n, 1)
+        The injection gain, a `Gain` of the controller.
+    disturbance_gain : casadi.SX, (1, 1)
+        g such that V_xtilde' <= -|x_tilde|^2 + g^2 |F^T Delta|^2: r epsilon in (42).
+    parameters, gains
+        What the controller has to hold for them.
+    """
+
+    k: Variables
+    disturbance_gain: ca.SX
+    parameters: tuple[Parameter, ...]
+    gains: tuple[Gain, ...]
+
+
+FilterFactory = Callable[[int], FilterDesign]
+"""Makes the design of a filter of order n."""
+
+
+def iss_filter(n: int) -> FilterDesign:
+    """The ISS K-filter of Theorem 1, b constant: k = X e_1 / 2, X from (43), Q = I/epsilon^2."""
+    k = vector("k", n, "Injection gain k = X e_1 / 2 of Theorem 1")
+    r = scalar("r", "Gain bound r of the ISS K-filter, (42)")
+    epsilon = scalar("epsilon", "Weight in Young's inequality, (41)")
+    # Twice the smallest feasible r for epsilon = 1, rounded up: a filter of moderate gain.
+    default_r = math.ceil(2 * smallest_feasible_r(n, iss_weight(n, 1.0)))
+    return FilterDesign(
+        k,
+        disturbance_gain=r.symbol * epsilon.symbol,
+        parameters=(
+            Parameter(r, (float(default_r),), Domain.POSITIVE),
+            Parameter(epsilon, (1.0,), Domain.POSITIVE),
+        ),
+        gains=(Gain(k, "iss_filter_gain", ("r", "epsilon"), {"n": n}),),
+    )
+
+
+def varying_b_filter(rho: int) -> FilterFactory:
+    """The ISS K-filter of Theorem 1 for time-varying b: the Q printed with (41).
+
+    (42) then holds for a(t) and b(t) both; Proposition 2, and so the certificate, wants b constant.
+
+    Parameters
+    ----------
+    rho : int
+        Relative degree of the plant.
+    """
+
+    def varying_b(n: int) -> FilterDesign:
+        k = vector("k", n, "Injection gain k = X e_1 / 2 of Theorem 1")
+        r = scalar("r", "Gain bound r of the ISS K-filter, (42)")
+        epsilon_a = scalar("epsilon_a", "Weight in Young's inequality for a(t), (41)")
+        epsilon_b = scalar("epsilon_b", "Weight in Young's inequality for b(t), (41)")
+        default_r = math.ceil(2 * smallest_feasible_r(n, iss_weight(n, 1.0, 1.0, rho)))
+        names = ("r", "epsilon_a", "epsilon_b")
+        return FilterDesign(
+            k,
+            disturbance_gain=r.symbol * epsilon_a.symbol,
+            parameters=(
+                Parameter(r, (float(default_r),), Domain.POSITIVE),
+                Parameter(epsilon_a, (1.0,), Domain.POSITIVE),
+                Parameter(epsilon_b, (1.0,), Domain.POSITIVE),
+            ),
+            gains=(Gain(k, "iss_filter_gain_varying_b", names, {"n": n, "rho": rho}),),
+        )
+
+    return varying_b
+
+
+def standard_filter(n: int) -> FilterDesign:
+    """The K-filter of [18] with any Hurwitz A_f; by default all its poles are at -1.
+
+    Its gain from F^T Delta to x_tilde is the H-infinity norm of (40), so the corrected damping
+    holds for it as for the ISS filter.
+    """
+    k = vector("k", n, "Injection gain of the K-filter (28)-(29)")
+    chosen = vector("k_filter", n, "Coefficients k_1 .. k_n of det(s I - A_f)")
+    gain = scalar("filter_gain", "H-infinity norm of (40), in the place of r epsilon in (42)")
+    return FilterDesign(
+        k,
+        disturbance_gain=gain.symbol,
+        parameters=(Parameter(chosen, tuple(placed_filter_gain([-1.0] * n).tolist())),),
+        gains=(
+            Gain(k, "hurwitz_filter_gain", ("k_filter",)),
+            Gain(gain, "filter_norm", ("k_filter",)),
+        ),
+    )
 
 
 @dataclass(frozen=True)

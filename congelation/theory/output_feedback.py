@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 
 from congelation.theory.adaptation import Adaptation, AdaptationFactory, gradient
-from congelation.theory.gains import iss_weight, smallest_feasible_r
-from congelation.theory.kfilter import KFilter, second_row
+from congelation.theory.kfilter import FilterDesign, FilterFactory, KFilter, iss_filter, second_row
 from congelation.theory.model import (
     Domain,
-    Gain,
     Input,
     Model,
     Output,
@@ -47,8 +44,6 @@ class OutputFeedbackSymbols:
     d: Variables
     Gamma: Variables
     gamma: Variables
-    r: Variables
-    epsilon: Variables
     delta: Variables
     delta_1: Variables
     damping: Variables
@@ -97,6 +92,7 @@ class OutputFeedbackDesign:
 
     symbols: OutputFeedbackSymbols
     filter: KFilter
+    filter_design: FilterDesign
     adaptation: Adaptation
     rho_adaptation: Adaptation
     steps: tuple[OutputFeedbackStep, ...] = ()
@@ -139,7 +135,10 @@ class OutputFeedbackDesign:
 
 
 def output_feedback_design(
-    n: int = 2, m: int = 0, adaptation: AdaptationFactory = gradient
+    n: int = 2,
+    m: int = 0,
+    adaptation: AdaptationFactory = gradient,
+    filter_factory: FilterFactory = iss_filter,
 ) -> OutputFeedbackDesign:
     """Run the recursion (45)-(55).
 
@@ -149,6 +148,8 @@ def output_feedback_design(
         Order of the plant (27) and degree of its numerator.
     adaptation : callable
         The law of the estimates, see `congelation.theory.adaptation`.
+    filter_factory : callable
+        The K-filter's gains: `iss_filter` or `standard_filter` of `congelation.theory.kfilter`.
     """
     rho, q = checked_orders(n, m), m + 1 + n
     symbols = OutputFeedbackSymbols(
@@ -159,38 +160,38 @@ def output_feedback_design(
         d=vector("d", rho, "Damping d_i against the estimation error, (49)-(51)"),
         Gamma=matrix("Gamma", q, q, "Adaptation gain of (55)"),
         gamma=scalar("gamma", "Adaptation gain of (54)"),
-        r=scalar("r", "Gain bound r of the ISS K-filter, (42)"),
-        epsilon=scalar("epsilon", "Weight in Young's inequality, (41)"),
         delta=scalar("delta", "Radius of a(t), Assumption 2"),
         delta_1=scalar("delta_1", "Radius of a_(n-1)(t) alone, at most delta"),
         damping=scalar("damping", "True: Controller 1, with damping; false: Controller 2"),
         certified=scalar("certified", "True: corrected damping; false: as printed in (59)"),
         sign_b_m=scalar("sign_b_m", "Sign of the high-frequency gain b_m, Assumption 3"),
     )
+    filter_design = filter_factory(n)
     k_filter = KFilter(
         m,
         eta=vector("eta", n, "K-filter state of (28)"),
         lambda_=vector("lambda", n, "K-filter state of (29)"),
-        k=vector("k", n, "Injection gain k = X e_1 / 2 of Theorem 1"),
+        k=filter_design.k,
     )
     law = adaptation(symbols.theta_hat, symbols.Gamma.symbol, rho)
     rho_law = law.companion(symbols.rho_hat, symbols.gamma.symbol)
-    design = OutputFeedbackDesign(symbols, k_filter, law, rho_law)
+    design = OutputFeedbackDesign(symbols, k_filter, filter_design, law, rho_law)
     design = replace(design, steps=(_first_step(design),))
     for _ in range(rho - 1):
         design = replace(design, steps=(*design.steps, _later_step(design)))
     return design
 
 
-def _damping(symbols: OutputFeedbackSymbols) -> ca.SX:
+def _damping(design: OutputFeedbackDesign) -> ca.SX:
     """zetabar_{1,1}: the corrected damping, or (59) as printed.
 
     Completing squares leaves sum_i (x_tilde_2 - Delta_1 y)^2 / (4 d_i); (59) drops Delta_1, the
     variation of a_{n-1}, which y' holds directly, and halves what its own proof gives.
     """
-    filter_gain = symbols.r.symbol * symbols.epsilon.symbol * symbols.delta.symbol
-    corrected = (filter_gain + symbols.delta_1.symbol) ** 2
-    printed = filter_gain**2 / 2  # (59)
+    symbols = design.symbols
+    estimation = design.filter_design.disturbance_gain * symbols.delta.symbol  # r epsilon delta
+    corrected = (estimation + symbols.delta_1.symbol) ** 2
+    printed = estimation**2 / 2  # (59)
     choice = ca.SX(symbols.certified.symbol)
     weight = ca.sum1(1 / (4 * symbols.d.symbol))
     return -symbols.damping.symbol * (choice * corrected + (1 - choice) * printed) * weight
@@ -209,7 +210,7 @@ def _alphabar_1(design: OutputFeedbackDesign) -> ca.SX:
     z_1 = symbols.y.symbol
     return (
         -(symbols.c.symbol[0] + symbols.d.symbol[0]) * z_1
-        + _damping(symbols) * z_1
+        + _damping(design) * z_1
         - second_row(k_filter.xi)
         - _omegabar(k_filter, z_1).T @ symbols.theta_hat.symbol
     )
@@ -287,16 +288,19 @@ def _partial(alpha: ca.SX, design: OutputFeedbackDesign) -> Partial:
 
 
 def output_feedback_controller(
-    n: int = 2, m: int = 0, adaptation: AdaptationFactory = gradient
+    n: int = 2,
+    m: int = 0,
+    adaptation: AdaptationFactory = gradient,
+    filter_factory: FilterFactory = iss_filter,
 ) -> Model:
     """The controller (53)-(55) with its K-filter (28)-(29) as a block.
 
     Parameters
     ----------
-    n, m, adaptation
+    n, m, adaptation, filter_factory
         See `output_feedback_design`.
     """
-    return output_feedback_model(output_feedback_design(n, m, adaptation))
+    return output_feedback_model(output_feedback_design(n, m, adaptation, filter_factory))
 
 
 def output_feedback_model(design: OutputFeedbackDesign) -> Model:
@@ -319,8 +323,7 @@ def output_feedback_model(design: OutputFeedbackDesign) -> Model:
             Parameter(symbols.d, (1.0,) * rho, Domain.POSITIVE),
             Parameter(symbols.Gamma, tuple(np.eye(q).ravel()), Domain.POSITIVE_DEFINITE),
             Parameter(symbols.gamma, (1.0,), Domain.POSITIVE),
-            Parameter(symbols.r, (_default_r(n),), Domain.POSITIVE),
-            Parameter(symbols.epsilon, (1.0,), Domain.POSITIVE),
+            *design.filter_design.parameters,
             Parameter(symbols.delta, (1.0,), Domain.NONNEGATIVE),
             Parameter(symbols.delta_1, (1.0,), Domain.NONNEGATIVE),
             Parameter(symbols.damping, (1.0,), Domain.BOOLEAN),
@@ -329,7 +332,7 @@ def output_feedback_model(design: OutputFeedbackDesign) -> Model:
             *design.adaptation.parameters,
             *design.rho_adaptation.parameters,
         ),
-        gains=(Gain(k_filter.k, "iss_filter_gain", ("r", "epsilon"), {"n": n}),),
+        gains=design.filter_design.gains,
         outputs=(
             Output(
                 Variables("u", design.u, "Control u of (53)", indexed=False), differentiated=True
@@ -339,8 +342,3 @@ def output_feedback_model(design: OutputFeedbackDesign) -> Model:
             Output(Variables("z", design.z, "Error variables z of (45)-(46)")),
         ),
     )
-
-
-def _default_r(n: int) -> float:
-    """Twice the smallest feasible r for epsilon = 1, rounded up: a filter of moderate gain."""
-    return math.ceil(2 * smallest_feasible_r(n, iss_weight(n, 1.0)))
