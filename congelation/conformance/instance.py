@@ -1,0 +1,212 @@
+"""One instance of an FMU, with the handful of calls that the rules make again and again."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterable, Sequence
+from ctypes import byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
+
+from congelation.conformance.binding import (
+    Callbacks,
+    Library,
+    Logger,
+    LogMessage,
+    Status,
+    pack,
+    unpack,
+)
+from congelation.conformance.description import Value
+
+__all__ = ["CO_SIMULATION", "ENVIRONMENT", "Instance"]
+
+CO_SIMULATION = 1
+
+# Handed to the FMU as componentEnvironment and expected back in every log message.
+ENVIRONMENT = 0x5EED
+
+
+class Instance:
+    """A component, from fmi2Instantiate on.
+
+    Parameters
+    ----------
+    library : Library
+        Where it comes from.
+    name, guid, uri : str
+        Instance name, GUID, and the URI of the resources directory.
+    logging : bool
+        loggingOn.
+    memory : bool
+        Whether the memory functions are handed over, or null pointers in their place.
+
+    Attributes
+    ----------
+    component : int or None
+        None if instantiation failed.
+    messages : list of LogMessage
+        What the FMU logged so far.
+    """
+
+    def __init__(
+        self,
+        library: Library,
+        *,
+        name: str,
+        guid: str,
+        uri: str,
+        logging: bool = True,
+        memory: bool = True,
+    ) -> None:
+        self.library = library
+        self.name = name
+        self.messages: list[LogMessage] = []
+        self._callbacks = Callbacks(
+            logger=Logger(self._log), componentEnvironment=c_void_p(ENVIRONMENT)
+        )
+        if memory:
+            c_library = ctypes.CDLL(None)
+            self._callbacks.allocateMemory = ctypes.cast(c_library.calloc, c_void_p)
+            self._callbacks.freeMemory = ctypes.cast(c_library.free, c_void_p)
+        self.component: int | None = library.call(
+            "Instantiate",
+            *(name.encode(), CO_SIMULATION, guid.encode(), uri.encode()),
+            *(byref(self._callbacks), 0, int(logging)),
+        )
+
+    def _log(
+        self,
+        environment: int | None,
+        instance: bytes | None,
+        status: int,
+        category: bytes | None,
+        text: bytes | None,
+    ) -> None:
+        def shown(raw: bytes | None) -> str | None:
+            return None if raw is None else raw.decode(errors="replace")
+
+        self.messages.append(
+            LogMessage(environment, shown(instance), status, shown(category), shown(text))
+        )
+
+    def call(self, name: str, *arguments: object) -> Status:
+        """Call fmi2<name> on the component."""
+        return Status(self.library.call(name, self.component, *arguments))
+
+    def setup(
+        self, start: float, stop: float | None = None, tolerance: float | None = None
+    ) -> Status:
+        """fmi2SetupExperiment; None for what is not defined."""
+        return self.call(
+            "SetupExperiment",
+            *(int(tolerance is not None), tolerance or 0.0, start),
+            *(int(stop is not None), stop or 0.0),
+        )
+
+    def enter(self) -> Status:
+        """fmi2EnterInitializationMode."""
+        return self.call("EnterInitializationMode")
+
+    def leave(self) -> Status:
+        """fmi2ExitInitializationMode."""
+        return self.call("ExitInitializationMode")
+
+    def step(self, time: float, size: float, *, final: bool = False) -> Status:
+        """fmi2DoStep; `final` is noSetFMUStatePriorToCurrentPoint."""
+        return self.call("DoStep", time, size, int(final))
+
+    def terminate(self) -> Status:
+        """fmi2Terminate."""
+        return self.call("Terminate")
+
+    def reset(self) -> Status:
+        """fmi2Reset."""
+        return self.call("Reset")
+
+    def free(self) -> None:
+        """fmi2FreeInstance; harmless a second time."""
+        if self.component is not None:
+            self.library.call("FreeInstance", self.component)
+            self.component = None
+
+    def get(self, base: str, references: Sequence[int]) -> tuple[Status, list[Value]]:
+        """fmi2Get<base>."""
+        blank: Value = "" if base == "String" else 0
+        array = pack(base, [blank] * len(references))
+        status = self.call(f"Get{base}", _vector(references), len(references), array)
+        return status, unpack(base, array)
+
+    def set(self, base: str, references: Sequence[int], values: Sequence[Value]) -> Status:
+        """fmi2Set<base>."""
+        return self.call(f"Set{base}", _vector(references), len(references), pack(base, values))
+
+    def set_input_derivatives(
+        self, references: Sequence[int], orders: Sequence[int], values: Sequence[float]
+    ) -> Status:
+        """fmi2SetRealInputDerivatives."""
+        return self.call(
+            "SetRealInputDerivatives",
+            *(_vector(references), len(references)),
+            *((c_int * len(orders))(*orders), pack("Real", values)),
+        )
+
+    def get_output_derivatives(
+        self, references: Sequence[int], orders: Sequence[int]
+    ) -> tuple[Status, list[float]]:
+        """fmi2GetRealOutputDerivatives."""
+        values = (c_double * len(references))()
+        status = self.call(
+            "GetRealOutputDerivatives",
+            *(_vector(references), len(references), (c_int * len(orders))(*orders), values),
+        )
+        return status, list(values)
+
+    def directional_derivative(
+        self, unknowns: Sequence[int], knowns: Sequence[int], seed: Sequence[float]
+    ) -> tuple[Status, list[float]]:
+        """fmi2GetDirectionalDerivative."""
+        values = (c_double * len(unknowns))()
+        status = self.call(
+            "GetDirectionalDerivative",
+            *(_vector(unknowns), len(unknowns), _vector(knowns), len(knowns)),
+            *(pack("Real", seed), values),
+        )
+        return status, list(values)
+
+    def get_state(self, handle: c_void_p | None = None) -> tuple[Status, c_void_p]:
+        """fmi2GetFMUstate, into a new handle or over a former one."""
+        state = c_void_p() if handle is None else handle
+        return self.call("GetFMUstate", byref(state)), state
+
+    def set_state(self, handle: c_void_p) -> Status:
+        """fmi2SetFMUstate."""
+        return self.call("SetFMUstate", handle)
+
+    def free_state(self, handle: c_void_p) -> Status:
+        """fmi2FreeFMUstate; the handle becomes null if the FMU keeps its promise."""
+        return self.call("FreeFMUstate", byref(handle))
+
+    def serialized_size(self, handle: c_void_p) -> tuple[Status, int]:
+        """fmi2SerializedFMUstateSize."""
+        size = c_size_t()
+        return self.call("SerializedFMUstateSize", handle, byref(size)), size.value
+
+    def serialize(self, handle: c_void_p, size: int, guard: int = 0) -> tuple[Status, bytes]:
+        """fmi2SerializeFMUstate, with `guard` bytes of 0xA5 after the vector."""
+        buffer = ctypes.create_string_buffer(b"\xa5" * (size + guard), size + guard)
+        status = self.call("SerializeFMUstate", handle, buffer, size)
+        return status, buffer.raw
+
+    def deserialize(self, data: bytes) -> tuple[Status, c_void_p]:
+        """fmi2DeSerializeFMUstate."""
+        state = c_void_p()
+        return self.call("DeSerializeFMUstate", data, len(data), byref(state)), state
+
+    def set_logging(self, on: bool, categories: Iterable[str] = ()) -> Status:
+        """fmi2SetDebugLogging."""
+        names = [category.encode() for category in categories]
+        array = (c_char_p * len(names))(*names)
+        return self.call("SetDebugLogging", int(on), len(names), array)
+
+
+def _vector(references: Sequence[int]) -> ctypes.Array[c_uint]:
+    return (c_uint * len(references))(*references)

@@ -1,0 +1,186 @@
+"""Rules about capability flags: what the XML promises, the FMU does (section 4.3.1)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from congelation.conformance.bench import Bench
+from congelation.conformance.binding import Status
+from congelation.conformance.description import Value, Variable
+from congelation.conformance.probe import read
+from congelation.conformance.rule import NotApplicable, Rule, dynamic
+from congelation.conformance.trajectory import demand, excitation, excite, inputs, same
+
+__all__ = ["RULES"]
+
+# Difference quotients over such a step are good to a few digits; the bound below only has to
+# tell a derivative from something else.
+_QUOTIENT_STEP = 1e-5
+_QUOTIENT_ERROR = 1e-2
+
+
+def _needs(bench: Bench, flag: str) -> None:
+    if not bench.description.flag(flag):
+        raise NotApplicable(f"{flag} is false")
+
+
+def _real(variables: Sequence[Variable]) -> list[Variable]:
+    return [v for v in variables if v.element == "Real" and v.variability == "continuous"]
+
+
+@dynamic("FMI2-FLAG-01", "2.1.8, 4.3.1")
+def state_functions(bench: Bench) -> Iterator[str]:
+    """With canGetAndSetFMUstate the functions for the FMU state succeed."""
+    _needs(bench, "canGetAndSetFMUstate")
+    with bench.held() as instance:
+        status, state = instance.get_state()
+        demand(status, "fmi2GetFMUstate")
+        demand(instance.set_state(state), "fmi2SetFMUstate")
+        demand(instance.free_state(state), "fmi2FreeFMUstate")
+    yield from ()
+
+
+@dynamic("FMI2-FLAG-02", "2.1.8, 4.3.1")
+def serializing_functions(bench: Bench) -> Iterator[str]:
+    """With canSerializeFMUstate the functions for serialized states succeed."""
+    _needs(bench, "canSerializeFMUstate")
+    with bench.held() as instance:
+        status, state = instance.get_state()
+        demand(status, "fmi2GetFMUstate")
+        status, size = instance.serialized_size(state)
+        demand(status, "fmi2SerializedFMUstateSize")
+        status, data = instance.serialize(state, size)
+        demand(status, "fmi2SerializeFMUstate")
+        status, _ = instance.deserialize(data)
+        demand(status, "fmi2DeSerializeFMUstate")
+    yield from ()
+
+
+@dynamic("FMI2-FLAG-03", "4.2.1, 4.3.1")
+def input_derivatives(bench: Bench) -> Iterator[str]:
+    """With canInterpolateInputs fmi2SetRealInputDerivatives succeeds and has an effect."""
+    _needs(bench, "canInterpolateInputs")
+    found = _real(inputs(bench.description))
+    if not found:
+        raise NotApplicable("there is no continuous Real input")
+    references = [v.reference for v in found]
+    results = []
+    for slope in (0.0, 1.0):
+        with bench.held() as instance:
+            excite(instance, bench.description, 0)
+            status = instance.set_input_derivatives(
+                references, [1] * len(found), [slope] * len(found)
+            )
+            demand(status, "fmi2SetRealInputDerivatives")
+            demand(instance.step(bench.grid.start, bench.grid.step), "fmi2DoStep")
+            results.append(read(instance, bench.description.variables))
+    if all(same(value, results[1][index]) for index, value in results[0].items()):
+        yield "the derivatives of the inputs have no effect on a step"
+
+
+@dynamic("FMI2-FLAG-04", "4.2.1, 4.3.1")
+def output_derivatives(bench: Bench) -> Iterator[str]:
+    """Output derivatives up to maxOutputDerivativeOrder can be read, the first being the slope or
+    0."""
+    order = bench.description.output_order
+    found = _real([v for v in bench.description.variables if v.causality == "output"])
+    if order < 1 or not found:
+        raise NotApplicable("maxOutputDerivativeOrder is 0, or there is no continuous output")
+    references = [v.reference for v in found]
+    with bench.held() as instance:
+        excite(instance, bench.description, 0)
+        time = bench.grid.start
+        demand(instance.step(time, bench.grid.step), "fmi2DoStep")
+        before = read(instance, tuple(found))
+        slopes: list[float] = []
+        for k in range(1, order + 1):
+            status, values = instance.get_output_derivatives(references, [k] * len(found))
+            demand(status, f"fmi2GetRealOutputDerivatives of order {k}")
+            slopes = slopes or values
+        demand(instance.step(time + bench.grid.step, _QUOTIENT_STEP), "fmi2DoStep")
+        after = read(instance, tuple(found))
+    for v, slope in zip(found, slopes, strict=True):
+        quotient = (float(after[v.index]) - float(before[v.index])) / _QUOTIENT_STEP
+        if slope != 0.0 and not _close(slope, quotient):
+            yield f"the derivative of {v.name} is {slope!r}, its slope {quotient!r}"
+
+
+def _close(value: float, quotient: float) -> bool:
+    return math.isfinite(value) and abs(value - quotient) <= _QUOTIENT_ERROR * (1.0 + abs(quotient))
+
+
+@dynamic("FMI2-FLAG-05", "2.1.9, 4.3.1")
+def directional_derivative(bench: Bench) -> Iterator[str]:
+    """With providesDirectionalDerivative the partial derivatives are those measured."""
+    _needs(bench, "providesDirectionalDerivative")
+    description = bench.description
+    listed = [description.variable(unknown.index) for unknown in description.initial_unknowns]
+    unknowns = _real([v for v in listed if v is not None])
+    knowns = _real(inputs(description))
+    if not unknowns or not knowns:
+        raise NotApplicable("there is no Real unknown or no Real input")
+    instance = bench.begin(bench.fresh())
+    base = read(instance, tuple(unknowns))
+    for known in knowns:
+        excite(instance, description, 0)
+        status, found = instance.directional_derivative(
+            [v.reference for v in unknowns], [known.reference], [1.0]
+        )
+        demand(status, f"fmi2GetDirectionalDerivative with respect to {known.name}")
+        moved: Value = float(excitation(known, 0)) + _QUOTIENT_STEP
+        excite(instance, description, 0, instead={known.index: moved})
+        other = read(instance, tuple(unknowns))
+        for v, derivative in zip(unknowns, found, strict=True):
+            quotient = (float(other[v.index]) - float(base[v.index])) / _QUOTIENT_STEP
+            if not _close(derivative, quotient):
+                yield f"d {v.name} / d {known.name} is {derivative!r}, measured {quotient!r}"
+    instance.free()
+
+
+@dynamic("FMI2-FLAG-06", "2.1.5, 4.3.1")
+def no_memory_functions(bench: Bench) -> Iterator[str]:
+    """With canNotUseMemoryManagementFunctions null pointers may stand for the memory functions."""
+    _needs(bench, "canNotUseMemoryManagementFunctions")
+    instance = bench.initialize(bench.fresh(memory=False))
+    found = bench.run(instance)
+    instance.free()
+    yield from bench.compare(found, "without memory functions")
+
+
+@dynamic("FMI2-FLAG-07", "2.1.5, 4.3.1")
+def several_instances(bench: Bench) -> Iterator[str]:
+    """Without canBeInstantiatedOnlyOncePerProcess a second instance can be made."""
+    if bench.description.flag("canBeInstantiatedOnlyOncePerProcess"):
+        raise NotApplicable("canBeInstantiatedOnlyOncePerProcess is true")
+    first, second = bench.attempt("first"), bench.attempt("second")
+    for instance in (first, second):
+        if instance.component is None:
+            yield f"the {instance.name} of two instances was refused"
+    for instance in (first, second):
+        instance.free()
+
+
+@dynamic("FMI2-FLAG-08", "4.2.1")
+def zeroth_derivative(bench: Bench) -> Iterator[str]:
+    """The derivative of order 0 of an input cannot be set."""
+    _needs(bench, "canInterpolateInputs")
+    found = _real(inputs(bench.description))
+    if not found:
+        raise NotApplicable("there is no continuous Real input")
+    with bench.held() as instance:
+        status = instance.set_input_derivatives([found[0].reference], [0], [1.0])
+        if status in (Status.OK, Status.WARNING):
+            yield f"fmi2SetRealInputDerivatives of order 0 returned {status}"
+
+
+RULES: tuple[Rule, ...] = (
+    state_functions,
+    serializing_functions,
+    input_derivatives,
+    output_derivatives,
+    directional_derivative,
+    no_memory_functions,
+    several_instances,
+    zeroth_derivative,
+)

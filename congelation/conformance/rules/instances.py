@@ -1,0 +1,237 @@
+"""Rules about instances: making, freeing, keeping them apart from each other and the process."""
+
+from __future__ import annotations
+
+import ctypes
+import locale
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from congelation.conformance.bench import Bench, Job
+from congelation.conformance.instance import Instance
+from congelation.conformance.rule import NotApplicable, Rule, dynamic
+from congelation.conformance.tasks import from_text
+from congelation.conformance.trajectory import Trajectory, demand, excite, first_difference, observe
+
+__all__ = ["RULES"]
+
+_WRONG_GUID = "{00000000-0000-0000-0000-000000000000}"
+# Cycles of fmi2Instantiate and fmi2FreeInstance, after as many again have filled the caches.
+_CYCLES = 1000
+_WARM_UP = 200
+# Bytes for each cycle. Below the finer bound growth drowns in the allocator's own; above the
+# coarse one a sweep of ten thousand runs in one process ends in the swap.
+_FINE_LEAK = 1024.0
+_COARSE_LEAK = 64 * 1024.0
+
+
+@dynamic("FMI2-INST-01", "2.1.5")
+def wrong_guid(bench: Bench) -> Iterator[str]:
+    """fmi2Instantiate returns a null pointer for a GUID other than that of modelDescription.xml."""
+    instance = bench.attempt(guid=_WRONG_GUID)
+    if instance.component is not None:
+        instance.free()
+        yield f"an instance was made for the GUID {_WRONG_GUID}"
+
+
+@dynamic("FMI2-INST-02", "2.1.5")
+def explained_refusal(bench: Bench) -> Iterator[str]:
+    """A failed instantiation calls the logger with the reason."""
+    instance = bench.attempt(guid=_WRONG_GUID)
+    if instance.component is not None:
+        instance.free()
+        raise NotApplicable("a wrong GUID is accepted, see FMI2-INST-01")
+    if not any(message.text for message in instance.messages):
+        yield "fmi2Instantiate returned a null pointer and logged nothing"
+
+
+@dynamic("FMI2-INST-03", "2.1.5, 2.1.8")
+def null_pointers(bench: Bench) -> Iterator[str]:
+    """fmi2FreeInstance and fmi2FreeFMUstate ignore a null pointer."""
+    bench.library.call("FreeInstance", None)
+    if bench.description.flag("canGetAndSetFMUstate"):
+        with bench.held() as instance:
+            status = instance.free_state(ctypes.c_void_p())
+            if status != 0:
+                yield f"fmi2FreeFMUstate returned {status} for a null pointer"
+    yield from ()
+
+
+@dynamic("FMI2-INST-04", "4.2.4")
+def free_anywhere(bench: Bench) -> Iterator[str]:
+    """An instance can be freed in every state, and the next one is as good as new."""
+    bench.fresh().free()
+    bench.begin(bench.fresh()).free()
+    bench.ready().free()
+    stopped = bench.ready()
+    bench.run(stopped)
+    demand(stopped.terminate(), "fmi2Terminate")
+    stopped.free()
+    yield from bench.compare(bench.alone(), "after freeing in every state")
+
+
+def _interleaved(bench: Bench, instances: list[tuple[Bench, Instance, float]]) -> list[Trajectory]:
+    """Step several instances in turn; each with the inputs of its own phase."""
+    rows = [[observe(i, b.description)] for b, i, _ in instances]
+    for point in range(bench.grid.steps):
+        for b, instance, phase in instances:
+            excite(instance, b.description, point, phase)
+        for (b, instance, _), column in zip(instances, rows, strict=True):
+            time = b.grid.time(point)
+            demand(instance.step(time, b.grid.time(point + 1) - time), "fmi2DoStep")
+            column.append(observe(instance, b.description))
+    return [Trajectory((), tuple(column)) for column in rows]
+
+
+def _named(found: Trajectory, model: Trajectory) -> Trajectory:
+    return Trajectory(model.names, found.rows)
+
+
+def _only_one(bench: Bench) -> None:
+    if bench.description.flag("canBeInstantiatedOnlyOncePerProcess"):
+        raise NotApplicable("canBeInstantiatedOnlyOncePerProcess is true")
+
+
+@dynamic("FMI2-INST-05", "2.1.5, 4.3.1")
+def interleaved(bench: Bench) -> Iterator[str]:
+    """Instances that run interleaved in one process do what each does alone."""
+    _only_one(bench)
+    phases = (0.0, 1.0, 2.0)
+    expected = [bench.alone(phase) for phase in phases]
+    together = [(bench, bench.ready(f"number {p:g}", phase=p), p) for p in phases]
+    for phase, found, model in zip(phases, _interleaved(bench, together), expected, strict=True):
+        difference = first_difference(_named(found, model), model)
+        if difference is not None:
+            yield f"instance {phase:g} of {len(phases)} together: {difference}"
+    for _, instance, _ in together:
+        instance.free()
+
+
+@dynamic("FMI2-INST-06", "2.1")
+def two_models(bench: Bench) -> Iterator[str]:
+    """Next to another FMU in the same process the FMU does what it does alone, and so does the
+    other."""
+    _only_one(bench)
+    scratch = Path(bench.job.scratch) / "companion"
+    scratch.mkdir()
+    other = Bench(Job(bench.job.companion, bench.job.directory, str(scratch)))
+    benches = (bench, other)
+    expected = [from_text(bench.elsewhere("alone", directory=b.directory)) for b in benches]
+    together = [(b, b.ready(name), 0.0) for b, name in zip(benches, ("one", "other"), strict=True)]
+    for b, found, model in zip(benches, _interleaved(bench, together), expected, strict=True):
+        difference = first_difference(_named(found, model), model)
+        if difference is not None:
+            label = b.description.model_name
+            yield f"{label} together with the other FMU: {difference}"
+    for _, instance, _ in together:
+        instance.free()
+
+
+def _surroundings() -> dict[str, object]:
+    """Settings of the process that an FMU must leave alone."""
+    process = ctypes.CDLL(None)
+    return {
+        "working directory": os.getcwd(),
+        "environment": _environment(process),
+        "locale": locale.setlocale(locale.LC_ALL),
+        "rounding mode": process.fegetround(),
+        "umask": _umask(),
+    }
+
+
+def _environment(process: ctypes.CDLL) -> frozenset[bytes]:
+    """The environment as C sees it; os.environ is a copy from the start of the process."""
+    pointer = ctypes.POINTER(ctypes.c_char_p).in_dll(process, "environ")
+    entries = set()
+    position = 0
+    while (entry := pointer[position]) is not None:
+        entries.add(entry)
+        position += 1
+    return frozenset(entries)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
+
+
+@dynamic("FMI2-INST-07", "2.1")
+def global_settings(bench: Bench) -> Iterator[str]:
+    """Running the FMU changes no setting of the process: directory, environment, locale, rounding,
+    umask."""
+    before = _surroundings()
+    bench.alone()
+    after = _surroundings()
+    for name, value in before.items():
+        if after[name] != value:
+            yield f"the {name} changed" + ("" if name == "environment" else f" to {after[name]!r}")
+
+
+def _resident() -> float:
+    """Memory of this process that has no file behind it, in bytes."""
+    path = Path("/proc/self/statm")
+    if not path.exists():
+        raise NotApplicable("the memory of a process is read from /proc, which is missing here")
+    fields = path.read_text(encoding="ascii").split()
+    return (float(fields[1]) - float(fields[2])) * os.sysconf("SC_PAGE_SIZE")
+
+
+def _growth(bench: Bench) -> float:
+    """Bytes by which the process grows with each instance made and freed."""
+    for _ in range(_WARM_UP):
+        bench.fresh().free()
+    before = _resident()
+    for _ in range(_CYCLES):
+        bench.fresh().free()
+    return (_resident() - before) / _CYCLES
+
+
+@dynamic("FMI2-INST-08", "2.1.5", patience=4.0)
+def bounded_memory(bench: Bench) -> Iterator[str]:
+    """A thousand instances made and freed leave less than 64 kB behind each."""
+    growth = _growth(bench)
+    bench.notes.append(f"{growth / 1024.0:.1f} kB for each instance made and freed")
+    if growth > _COARSE_LEAK:
+        yield f"each of {_CYCLES} instances left {growth / 1024.0:.1f} kB behind"
+
+
+@dynamic("FMI2-INST-09", "2.1.5", patience=4.0)
+def no_leak(bench: Bench) -> Iterator[str]:
+    """fmi2FreeInstance frees all memory: a thousand instances leave less than 1 kB behind each."""
+    growth = _growth(bench)
+    if growth > _FINE_LEAK:
+        yield f"each of {_CYCLES} instances left {growth / 1024.0:.1f} kB behind"
+
+
+def _open_files() -> int:
+    folder = Path("/proc/self/fd")
+    if not folder.is_dir():
+        raise NotApplicable("open files are counted in /proc, which is missing here")
+    return len(list(folder.iterdir()))
+
+
+@dynamic("FMI2-INST-10", "2.1.5")
+def no_open_files(bench: Bench) -> Iterator[str]:
+    """fmi2FreeInstance closes every file that the instance opened."""
+    bench.alone()
+    before = _open_files()
+    for _ in range(10):
+        bench.alone()
+    if (left := _open_files() - before) > 0:
+        yield f"{left} files are still open after 10 instances"
+
+
+RULES: tuple[Rule, ...] = (
+    wrong_guid,
+    explained_refusal,
+    null_pointers,
+    free_anywhere,
+    interleaved,
+    two_models,
+    global_settings,
+    bounded_memory,
+    no_leak,
+    no_open_files,
+)

@@ -1,0 +1,153 @@
+"""Rules about the logger (sections 2.1.3, 2.1.5 and 2.2.4)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+from congelation.conformance.bench import Bench
+from congelation.conformance.binding import LogMessage, Status
+from congelation.conformance.instance import ENVIRONMENT, Instance
+from congelation.conformance.rule import NotApplicable, Rule, dynamic
+from congelation.conformance.trajectory import demand
+
+__all__ = ["RULES"]
+
+Provocation = Callable[[Bench, Instance], Status]
+
+
+def _unknown(bench: Bench, instance: Instance) -> Status:
+    return instance.get("Real", [2**31 - 1])[0]
+
+
+def _backwards(bench: Bench, instance: Instance) -> Status:
+    return instance.step(bench.grid.start, -bench.grid.step)
+
+
+def _nothing(bench: Bench, instance: Instance) -> Status:
+    return instance.step(bench.grid.start, 0.0)
+
+
+# Calls that a careful FMU refuses, and then has to explain itself.
+_PROVOCATIONS: dict[str, Provocation] = {
+    "fmi2GetReal of an unknown reference": _unknown,
+    "fmi2DoStep with a negative step": _backwards,
+    "fmi2DoStep with a step of zero": _nothing,
+}
+
+
+def _refusals(bench: Bench, *, logging: bool) -> Iterator[tuple[str, Status, list[LogMessage]]]:
+    """Provoked statuses other than fmi2OK, each with the messages that came with it."""
+    for what, provoke in _PROVOCATIONS.items():
+        instance = bench.initialize(bench.fresh(logging=logging))
+        before = len(instance.messages)
+        status = provoke(bench, instance)
+        if status != Status.OK:
+            yield what, status, instance.messages[before:]
+        if status != Status.FATAL:
+            instance.free()
+
+
+def _all_messages(bench: Bench) -> list[LogMessage]:
+    """Everything logged in a run and under provocation, logging on."""
+    instance = bench.initialize(bench.fresh())
+    bench.run(instance)
+    demand(instance.terminate(), "fmi2Terminate")
+    messages = list(instance.messages)
+    instance.free()
+    for _, _, more in _refusals(bench, logging=True):
+        messages.extend(more)
+    if not messages:
+        raise NotApplicable("the FMU logs nothing, whatever is done")
+    return messages
+
+
+@dynamic("FMI2-LOG-01", "2.1.5, 2.2.4")
+def categories(bench: Bench) -> Iterator[str]:
+    """The category of a message is one of LogCategories, or null if there are none."""
+    allowed: tuple[str | None, ...] = bench.description.categories or (None,)
+    for found in sorted(
+        {str(m.category) for m in _all_messages(bench) if m.category not in allowed}
+    ):
+        yield f"the category {found!r} is not among LogCategories"
+
+
+@dynamic("FMI2-LOG-02", "2.1.3, 2.1.5")
+def quiet(bench: Bench) -> Iterator[str]:
+    """With loggingOn = fmi2False a run without errors logs nothing."""
+    instance = bench.initialize(bench.fresh(logging=False))
+    bench.run(instance)
+    demand(instance.terminate(), "fmi2Terminate")
+    messages = [m for m in instance.messages if m.status == Status.OK]
+    instance.free()
+    if messages:
+        yield f"{len(messages)} messages, the first: {messages[0].text!r}"
+
+
+@dynamic("FMI2-LOG-03", "2.1.3")
+def explained(bench: Bench) -> Iterator[str]:
+    """Every status other than fmi2OK comes with a log message, if logging is on."""
+    nothing = True
+    for what, status, messages in _refusals(bench, logging=True):
+        nothing = False
+        if not any((m.text or "").strip() for m in messages):
+            yield f"{what} returned {status} and logged nothing"
+    if nothing:
+        raise NotApplicable("no provocation was refused")
+
+
+@dynamic("FMI2-LOG-04", "2.1.5")
+def selection(bench: Bench) -> Iterator[str]:
+    """After fmi2SetDebugLogging only messages of the chosen categories are logged, or none."""
+    names = bench.description.categories
+    if not names:
+        raise NotApplicable("there are no LogCategories")
+    for chosen in names:
+        instance = bench.initialize(bench.fresh(logging=False))
+        demand(instance.set_logging(True, [chosen]), f"fmi2SetDebugLogging for {chosen!r}")
+        before = len(instance.messages)
+        bench.run(instance)
+        others = {m.category for m in instance.messages[before:] if m.status == Status.OK} - {
+            chosen
+        }
+        for other in sorted(map(str, others)):
+            yield f"with {chosen!r} alone switched on, {other!r} was logged"
+        demand(instance.set_logging(False), "fmi2SetDebugLogging off")
+        before = len(instance.messages)
+        bench.run(instance, first=bench.grid.steps, last=2 * bench.grid.steps)
+        if any(m.status == Status.OK for m in instance.messages[before:]):
+            yield "messages are logged after logging was switched off"
+        instance.free()
+
+
+@dynamic("FMI2-LOG-05", "2.1.5")
+def arguments(bench: Bench) -> Iterator[str]:
+    """The logger gets the instance's name and environment, and a text without final line break."""
+    for m in _all_messages(bench):
+        if m.instance != "tested":
+            yield f"the instance name is {m.instance!r} instead of 'tested'"
+        elif m.environment != ENVIRONMENT:
+            yield "componentEnvironment is not the pointer given to fmi2Instantiate"
+        elif not m.text:
+            yield "a message has no text"
+        elif m.text.endswith("\n"):
+            yield f"the text ends in a line break: {m.text!r}"
+        else:
+            continue
+        return
+
+
+@dynamic("FMI2-LOG-06", "2.1.3")
+def errors_always_logged(bench: Bench) -> Iterator[str]:
+    """fmi2Warning and fmi2Error come with a log message even with loggingOn = fmi2False."""
+    nothing = True
+    for what, status, messages in _refusals(bench, logging=False):
+        # A discarded step is to be explained in debug mode only.
+        if status in (Status.WARNING, Status.ERROR, Status.FATAL):
+            nothing = False
+            if not messages:
+                yield f"{what} returned {status} and logged nothing"
+    if nothing:
+        raise NotApplicable("no provocation was answered with fmi2Warning or fmi2Error")
+
+
+RULES: tuple[Rule, ...] = (categories, quiet, explained, selection, arguments, errors_always_logged)

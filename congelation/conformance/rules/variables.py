@@ -1,0 +1,234 @@
+"""Rules about ModelVariables: names, combinations of attributes, starts, units, types, aliases."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Iterator
+
+from congelation.conformance.description import Variable
+from congelation.conformance.rule import NotApplicable, Rule, static
+from congelation.conformance.subject import Subject
+
+__all__ = ["RULES"]
+
+# The causalities with which each variability may be combined (section 2.2.7).
+_CAUSALITIES = {
+    "constant": {"output", "local"},
+    "fixed": {"parameter", "calculatedParameter", "local"},
+    "tunable": {"parameter", "calculatedParameter", "local"},
+    "discrete": {"input", "output", "local"},
+    "continuous": {"input", "output", "local", "independent"},
+}
+
+_PLAIN = r"[A-Za-z_][A-Za-z0-9_]*"
+_QUOTED = r"'(?:[A-Za-z0-9_!#$%&()*+,\-./:;<>=?@\[\]^{}|~ ]|\\['\"?\\abfnrtv])+'"
+_PART = rf"(?:{_PLAIN}|{_QUOTED})(?:\[\d+(?:,\d+)*\])?"
+_PATH = rf"{_PART}(?:\.{_PART})*"
+_STRUCTURED = re.compile(rf"{_PATH}|der\({_PATH}(?:,\d+)?\)")
+_ELEMENT = re.compile(r"(?P<before>.*)\[(?P<indices>\d+(?:,\d+)*)\](?P<after>[^\[\]]*)")
+
+
+@static("FMI2-VARS-01", "2.2.7, 2.2.9")
+def names(subject: Subject) -> Iterator[str]:
+    """Variable names are unique, not empty, and keep to variableNamingConvention."""
+    description = subject.description
+    structured = description.naming == "structured"
+    for name, count in Counter(v.name for v in description.variables).items():
+        if count > 1:
+            yield f"{count} variables are named {name!r}"
+        if not name:
+            yield "a variable has an empty name"
+        elif structured and _STRUCTURED.fullmatch(name) is None:
+            yield f"{name!r} is no structured name"
+        elif not structured and re.search(r"[\r\n\t]", name):
+            yield f"{name!r} contains a carriage return, a line feed or a tab"
+
+
+@static("FMI2-VARS-02", "2.2.9")
+def array_order(subject: Subject) -> Iterator[str]:
+    """Under the structured convention the elements of an array are consecutive, in row-major
+    order."""
+    description = subject.description
+    if description.naming != "structured":
+        raise NotApplicable("variableNamingConvention is not structured")
+    places: dict[tuple[str, str], list[tuple[int, tuple[int, ...]]]] = defaultdict(list)
+    for variable in description.variables:
+        found = _ELEMENT.fullmatch(variable.name)
+        # An array of records ("a[1].b", "a[2].b") interleaves by right; only leaves are judged.
+        if found is not None and "." not in found["after"]:
+            indices = tuple(int(number) for number in found["indices"].split(","))
+            places[found["before"], found["after"]].append((variable.index, indices))
+    for (before, after), elements in places.items():
+        positions = [position for position, _ in elements]
+        if positions != list(range(positions[0], positions[0] + len(positions))):
+            yield f"the elements of {before}[]{after} are not consecutive"
+        elif [indices for _, indices in elements] != sorted(indices for _, indices in elements):
+            yield f"the elements of {before}[]{after} are not in row-major order"
+
+
+@static("FMI2-VARS-03", "2.2.7")
+def combinations(subject: Subject) -> Iterator[str]:
+    """The combination of causality, variability and type is one that the table allows."""
+    for v in subject.description.variables:
+        if v.causality not in _CAUSALITIES.get(v.variability, set()):
+            yield f'{v.name}: causality="{v.causality}" with variability="{v.variability}"'
+        if v.variability == "continuous" and v.element != "Real":
+            given = "" if "variability" in v.attributes else " (the default)"
+            yield f'{v.name}: a variable of type {v.element} is "continuous"{given}'
+
+
+def _allowed_initial(v: Variable) -> set[str]:
+    if v.causality in ("input", "independent"):
+        return set()
+    if v.causality == "parameter" or v.variability == "constant":
+        return {"exact"}
+    if v.causality == "calculatedParameter" or v.variability in ("fixed", "tunable"):
+        return {"approx", "calculated"}
+    return {"exact", "approx", "calculated"}
+
+
+@static("FMI2-VARS-04", "2.2.7")
+def initial(subject: Subject) -> Iterator[str]:
+    """initial, if given, is one that the table allows for the causality and variability."""
+    for v in subject.description.variables:
+        if v.given_initial is not None and v.given_initial not in _allowed_initial(v):
+            yield (
+                f'{v.name}: initial="{v.given_initial}" with causality="{v.causality}", '
+                f'variability="{v.variability}"'
+            )
+
+
+@static("FMI2-VARS-05", "2.2.7")
+def starts(subject: Subject) -> Iterator[str]:
+    """There is a start value where initial is exact or approx or the variable an input, nowhere
+    else."""
+    for v in subject.description.variables:
+        needed = v.causality == "input" or v.initial in ("exact", "approx")
+        if needed and v.start_text is None:
+            yield f"{v.name} has no start value"
+        if not needed and v.start_text is not None:
+            reason = "independent" if v.causality == "independent" else 'initial="calculated"'
+            yield f"{v.name} ({reason}) has a start value"
+
+
+@static("FMI2-VARS-06", "2.2.7")
+def independent(subject: Subject) -> Iterator[str]:
+    """At most one variable is independent, and it is a Real."""
+    found = [v for v in subject.description.variables if v.causality == "independent"]
+    if not found:
+        raise NotApplicable("no variable is declared independent")
+    if len(found) > 1:
+        yield "independent are " + ", ".join(v.name for v in found)
+    for v in found:
+        if v.element != "Real":
+            yield f"{v.name} is independent and a {v.element}"
+
+
+@static("FMI2-VARS-07", "2.2.2, 2.2.3")
+def units(subject: Subject) -> Iterator[str]:
+    """Every unit is defined under UnitDefinitions; a displayUnit comes with a unit."""
+    root = subject.root
+    defined = {unit.get("name") for unit in root.iterfind("UnitDefinitions/Unit")}
+    inherited = {
+        kind.get("name"): kind.find("Real").get("unit")
+        for kind in root.iterfind("TypeDefinitions/SimpleType[Real]")
+    }
+    reals = [
+        *root.iterfind("TypeDefinitions/SimpleType/Real"),
+        *root.iterfind("ModelVariables/ScalarVariable/Real"),
+    ]
+    for real in reals:
+        owner = real.getparent().get("name")
+        unit = real.get("unit", inherited.get(real.get("declaredType")))
+        if unit is not None and unit not in defined:
+            yield f"the unit {unit!r} of {owner} is not defined"
+        if unit is None and real.get("displayUnit") is not None:
+            yield f"{owner} has a displayUnit and no unit"
+
+
+@static("FMI2-VARS-08", "2.2.3, 2.2.7")
+def types(subject: Subject) -> Iterator[str]:
+    """A declaredType is defined, is of the variable's type, and is no variable's name."""
+    root = subject.root
+    kinds = {
+        kind.get("name"): {child.tag for child in kind}
+        for kind in root.iterfind("TypeDefinitions/SimpleType")
+    }
+    for v in subject.description.variables:
+        declared = v.attributes.get("declaredType")
+        if v.name in kinds:
+            yield f"{v.name} is the name of a variable and of a type"
+        if declared is not None and declared not in kinds:
+            yield f"the type {declared!r} of {v.name} is not defined"
+        elif declared is not None and v.element not in kinds[declared]:
+            yield f"{v.name} is {v.element}, its type {declared!r} is not"
+
+
+@static("FMI2-VARS-09", "2.2.7")
+def aliases(subject: Subject) -> Iterator[str]:
+    """Aliases: at most one settable, at most one start, constants among themselves, one unit."""
+    groups: dict[tuple[str, int], list[Variable]] = defaultdict(list)
+    for v in subject.description.variables:
+        groups[v.base, v.reference].append(v)
+    for (base, reference), group in groups.items():
+        if len(group) > 1:
+            for breach in _alias_breaches(group):
+                yield f"{base} {reference} ({', '.join(v.name for v in group)}): {breach}"
+
+
+def _alias_breaches(group: list[Variable]) -> Iterator[str]:
+    settable = [
+        v for v in group if v.settable_before_start or v.causality in ("input", "independent")
+    ]
+    constants = [v for v in group if v.variability == "constant"]
+    if len(settable) > 1:
+        yield "more than one can be set"
+    if constants and len(constants) < len(group):
+        yield "constants share a reference with variables that are none"
+    if len(constants) == len(group) and len({v.start for v in group}) > 1:
+        yield "constants with different values"
+    if len([v for v in group if v.start_text is not None and v not in constants]) > 1:
+        yield "more than one has a start value"
+    # A unit may also come from a declared type; then the attribute says nothing.
+    if len({v.attributes.get("unit") for v in group if "declaredType" not in v.attributes}) > 1:
+        yield "different units"
+
+
+@static("FMI2-VARS-10", "2.2.7")
+def model_exchange_attributes(subject: Subject) -> Iterator[str]:
+    """A co-simulation FMU has neither canHandleMultipleSetPerTimeInstant nor reinit."""
+    if subject.root.find("ModelExchange") is not None:
+        raise NotApplicable("the FMU is for model exchange too")
+    for v in subject.description.variables:
+        for name in ("canHandleMultipleSetPerTimeInstant", "reinit"):
+            if name in v.attributes:
+                yield f"{v.name} has the attribute {name}"
+
+
+@static("FMI2-VARS-11", "2.2.7")
+def derivatives(subject: Subject) -> Iterator[str]:
+    """The attribute derivative of a Real variable is the index of another Real variable."""
+    description = subject.description
+    found = [v for v in description.variables if "derivative" in v.attributes]
+    if not found:
+        raise NotApplicable("no variable has the attribute derivative")
+    for v in found:
+        target = description.variable(int(v.attributes["derivative"]))
+        if target is None or target.element != "Real" or target is v:
+            yield f"{v.name} is the derivative of {v.attributes['derivative']}"
+
+
+RULES: tuple[Rule, ...] = (
+    names,
+    array_order,
+    combinations,
+    initial,
+    starts,
+    independent,
+    units,
+    types,
+    aliases,
+    model_exchange_attributes,
+    derivatives,
+)

@@ -1,0 +1,73 @@
+"""Building the test FMU, whole or broken: compiled with a mutation, or edited after packing."""
+
+from __future__ import annotations
+
+import struct
+import subprocess
+import zipfile
+import zlib
+from collections.abc import Callable
+from importlib.resources import as_file, files
+from pathlib import Path
+
+from congelation.conformance.bench import platform_folder
+
+__all__ = ["SOURCES", "Entries", "build", "compiled", "read_entries", "write_archive"]
+
+SOURCES = Path(__file__).parent / "fmu"
+
+# Contents of the archive by name.
+Entries = dict[str, bytes]
+
+
+def compiled(folder: Path, mutation: str = "") -> bytes:
+    """The shared library, with a mutation or none."""
+    target = folder / f"lag-{mutation or 'correct'}.so"
+    flags = [f"-DMUTATION_{mutation}=1"] if mutation else ["-Wall", "-Wextra", "-Werror"]
+    with as_file(files("fmpy") / "c-code") as headers:
+        command = ["cc", "-shared", "-fPIC", "-O0", *flags, f"-I{headers}"]
+        subprocess.run([*command, SOURCES / "lag.c", "-o", target, "-lm"], check=True)
+    return target.read_bytes()
+
+
+def read_entries(library: bytes) -> Entries:
+    """The contents of the correct FMU around a shared library."""
+    names = ("modelDescription.xml", "resources/feedthrough.txt", "documentation/index.html")
+    entries = {name: (SOURCES / name).read_bytes() for name in names}
+    entries["sources/lag.c"] = (SOURCES / "lag.c").read_bytes()
+    entries["model.png"] = _dot()
+    entries[f"binaries/{platform_folder()}/lag.so"] = library
+    return entries
+
+
+def _dot() -> bytes:
+    """A PNG image of one black pixel."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        check = zlib.crc32(kind + data)
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", check)
+
+    header = struct.pack(">IIBBBBB", 1, 1, 8, 0, 0, 0, 0)
+    pixels = zlib.compress(b"\0\0")
+    start = b"\x89PNG\r\n\x1a\n"
+    return start + chunk(b"IHDR", header) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+
+
+def write_archive(path: Path, entries: Entries) -> Path:
+    """Pack an FMU as the standard wants it."""
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in entries.items():
+            archive.writestr(name, content)
+    return path
+
+
+def build(
+    folder: Path,
+    library: bytes,
+    *,
+    edit: Callable[[Entries], Entries] | None = None,
+    name: str = "lag.fmu",
+) -> Path:
+    """An FMU in a folder, its contents edited first."""
+    entries = read_entries(library)
+    return write_archive(folder / name, edit(entries) if edit else entries)
