@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 
@@ -10,7 +11,19 @@ from congelation.export.runge_kutta import dormand_prince_step
 from congelation.export.straight_line import Block, constants_and_functions
 from congelation.theory.model import Model, Variables
 
-__all__ = ["equations_module"]
+__all__ = ["Special", "equations_module"]
+
+
+@dataclass(frozen=True)
+class Special:
+    """A simpler model that the general one turns into at given values of some parameters.
+
+    `model` takes the parameters of the general model, or fewer.
+    """
+
+    model: Model
+    values: Mapping[str, float]
+
 
 _HEAD = '''"""{description}
 
@@ -27,37 +40,70 @@ from __future__ import annotations
 
 {imports}__all__ = ["bind"]
 
-
-def bind({arguments}):
+'''
+_DISPATCH = '''def bind({arguments}):
     """Close the equations over parameters and gains."""
+    if {condition}:
+        return _bind_special({simpler})
+    return _bind_general({arguments})
 '''
 _FUNCTIONS = ("sqrt", "exp", "log", "sin", "cos", "tan", "tanh", "copysign", "atan2", "hypot")
 
 
-def equations_module(model: Model) -> str:
-    """The source of the module of `model`'s equations; it imports `math` alone."""
+def equations_module(model: Model, special: Special | None = None) -> str:
+    """The source of the module of `model`'s equations; it imports `math` alone.
+
+    With `special`, ``bind`` returns the simpler model's functions where they are the same.
+    """
+    if special is None:
+        text = _bind(model, "bind")
+    else:
+        names = [name for name, _ in _constants(model)]
+        simpler = [name for name, _ in _constants(special.model)]
+        condition = " and ".join(f"{name} == {value}" for name, value in special.values.items())
+        text = "\n\n".join(
+            (
+                _DISPATCH.format(
+                    arguments=", ".join(names),
+                    condition=condition,
+                    simpler=", ".join(simpler),
+                ),
+                _bind(special.model, "_bind_special"),
+                _bind(model, "_bind_general"),
+            )
+        )
+    used = [name for name in _FUNCTIONS if f"{name}(" in text]
+    head = _HEAD.format(
+        description=model.description,
+        theta="" if model.theta is None else ", theta",
+        imports=f"from math import {', '.join(used)}\n\n" if used else "",
+    )
+    return head + text
+
+
+def _constants(model: Model) -> list[tuple[str, ca.SX]]:
+    """What the equations are bound to: parameters, then gains, as Python names and symbols."""
     groups = [p.variables for p in model.parameters] + [g.variables for g in model.gains]
-    constants = [
+    return [
         (_python_name(name), symbol)
         for group in groups
         for name, symbol in zip(group.names, group.elements, strict=True)
     ]
+
+
+def _bind(model: Model, function: str) -> str:
+    """The function that closes the equations over their constants."""
+    constants = _constants(model)
     body = constants_and_functions(constants, _blocks(model))
     states = sum(len(s.variables.names) for s in model.states)
     inputs = sum(len(i.variables.names) for i in model.inputs)
     body += ["", *dormand_prince_step(states, inputs, varying=model.theta is not None)]
     body += ["", "return rates, outputs, derivatives, step"]
-    text = "\n".join(f"    {line}" if line else "" for line in body) + "\n"
-    used = [name for name in _FUNCTIONS if f"{name}(" in text]
-    return (
-        _HEAD.format(
-            description=model.description,
-            theta="" if model.theta is None else ", theta",
-            imports=f"from math import {', '.join(used)}\n\n" if used else "",
-            arguments=", ".join(name for name, _ in constants),
-        )
-        + text
-    )
+    head = [
+        f"def {function}({', '.join(name for name, _ in constants)}):",
+        '    """Close the equations over parameters and gains."""',
+    ]
+    return "\n".join([*head, *(f"    {line}" if line else "" for line in body)]) + "\n"
 
 
 def _python_name(name: str) -> str:

@@ -1,66 +1,80 @@
 """A spec: the plant and the controller to build FMUs of, read from TOML.
 
-title = "System (60) with state feedback"
-form = "strict-feedback"
+    title = "System (60) with state feedback"
+    form = "strict-feedback"
 
-[structure]                     # what the form is derived from
-n = 2
-p = 2
-phibar = {"1,1" = [-1, 0], "2,1" = [0, -1]}
+    [structure]                     # what the form is derived from
+    n = 2
+    p = 2
+    phibar = {"1,1" = [-1, 0], "2,1" = [0, -1]}
 
-[plant]
-name = "StrictFeedbackPlant"    # of the FMU
-start = {x0 = [2, -1]}          # defaults of its parameters
-[plant.profile]                 # default theta(t)
-"theta[1]" = [{constant = -3}, {sine = {amplitude = 0.6, omega = 0.4}}]
+    [units]                         # optional: one unit, or one for each element
+    u = "V"
+    x = ["rad/s", "A"]
 
-[controller]
-name = "StateFeedbackController"
-start = {c = [0.5, 0.5], epsilon = 0.3}
+    [plant]
+    name = "StrictFeedbackPlant"    # of the FMU
+    start = {x0 = [2, -1]}          # defaults of its parameters
+    [plant.profile]                 # default theta(t)
+    "theta[1]" = [{constant = -3}, {sine = {amplitude = 0.6, omega = 0.4}}]
+
+    [controller]
+    name = "StateFeedbackController"
+    start = {c = [0.5, 0.5], epsilon = 0.3}
+
+The forms and the keys of their structure:
+
+    scalar             none
+    matched            A, B: x' = A x + B (u + theta^T x)
+    strict-feedback    n, p, phibar: (9), a table of the rows phibar_{i,j} that are not 0
+    observer           n, m, filter: (27), with the "iss" or the "standard" K-filter
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 
 from congelation.errors import nearest
+from congelation.export.equations import Special
+from congelation.export.forms import FORMS, Form, Structure
 from congelation.export.interface import ProfileSlots
+from congelation.export.units import base_unit
 from congelation.signals import Profile, Slots
 from congelation.theory.model import Model
-from congelation.theory.observer_form import observer_form_plant
-from congelation.theory.output_feedback import output_feedback_controller
-from congelation.theory.scalar import scalar_controller, scalar_plant
-from congelation.theory.state_feedback import state_feedback_controller
-from congelation.theory.strict_feedback import strict_feedback_plant
 from congelation.toml import Section, read_document
 
-__all__ = ["FORMS", "FmuSpec", "Form", "Spec", "models_of", "read_spec"]
+__all__ = ["FmuSpec", "Spec", "read_spec"]
 
-Structure = Mapping[str, object]
-
-
-@dataclass(frozen=True)
-class Form:
-    """A class of systems: the keys of its structure, its models, its folders in fmu_src."""
-
-    keys: tuple[str, ...]
-    plant: Callable[[Structure], Model]
-    controller: Callable[[Structure], Model]
-    plant_folder: str
-    controller_folder: str
+Units = Mapping[str, str | list[str]]
 
 
 @dataclass(frozen=True)
 class FmuSpec:
-    """One FMU to build: its name, the folder with its slave, its model and default profiles."""
+    """One FMU to build.
+
+    Attributes
+    ----------
+    name : str
+        Of the FMU.
+    folder : str
+        Its folder in fmu_src, with its slave.
+    model : Model
+        With the defaults of the spec.
+    special : Special or None
+        The simpler equations that hold with neutral adaptation settings.
+    profiles : tuple of ProfileSlots
+        Of a plant: the default profile of each component of theta.
+    """
 
     name: str
     folder: str
     model: Model
+    special: Special | None = None
     profiles: tuple[ProfileSlots, ...] = ()
 
 
@@ -75,44 +89,6 @@ class Spec:
     controller: FmuSpec
 
 
-def _phibar(structure: Structure) -> np.ndarray:
-    return np.asarray(structure["phibar"], dtype=float)
-
-
-def _orders(structure: Structure) -> tuple[int, int]:
-    return int(str(structure["n"])), int(str(structure["m"]))
-
-
-FORMS: Mapping[str, Form] = {
-    "scalar": Form(
-        (),
-        lambda s: scalar_plant(),
-        lambda s: scalar_controller(),
-        "scalar_plant",
-        "scalar_controller",
-    ),
-    "strict-feedback": Form(
-        ("n", "p", "phibar"),
-        lambda s: strict_feedback_plant(_phibar(s)),
-        lambda s: state_feedback_controller(_phibar(s)),
-        "strict_feedback_plant",
-        "state_feedback_controller",
-    ),
-    "observer": Form(
-        ("n", "m"),
-        lambda s: observer_form_plant(*_orders(s)),
-        lambda s: output_feedback_controller(*_orders(s)),
-        "observer_form_plant",
-        "output_feedback_controller",
-    ),
-}
-
-
-def models_of(form: str, structure: Structure) -> tuple[Model, Model]:
-    """Plant and controller of a form, from its structure as `Spec` holds it."""
-    return FORMS[form].plant(structure), FORMS[form].controller(structure)
-
-
 def read_spec(file: Path) -> Spec:
     """Read a spec.
 
@@ -122,76 +98,119 @@ def read_spec(file: Path) -> Spec:
         Naming the file, the path in it, and what would be valid.
     """
     _, top = read_document(file)
-    top.only(("title", "form", "structure", "plant", "controller")).require("form")
+    top.only(("title", "form", "structure", "units", "plant", "controller")).require("form")
     name = top.text("form")
     if name not in FORMS:
         raise top.error("form", f"= '{name}' is not known; {nearest(name, FORMS)}")
     form = FORMS[name]
     structure = _structure(top.section("structure"), form)
-    plant, controller = top.attempt("structure", lambda: models_of(name, structure))
+    plant, controller, special = top.attempt("structure", lambda: form.models(structure))
+    units = _units(top.section("units"), plant, controller)
     return Spec(
         top.text("title", file.stem),
         name,
         structure,
-        _plant(top.section("plant"), form.plant_folder, plant, file.parent),
-        _block(top.section("controller"), form.controller_folder, controller),
+        _plant(top.section("plant"), form.plant_folder, plant.with_units(units), file.parent),
+        _block(
+            top.section("controller"),
+            form.controller_folder,
+            controller.with_units(units),
+            special,
+        ),
     )
 
 
 def _structure(section: Section, form: Form) -> Structure:
-    section.only(form.keys).require(*form.keys)
-    structure: dict[str, object] = {}
-    for key in form.keys:
-        if key == "phibar":
-            structure[key] = _read_phibar(section)
-        else:
-            value = section.data[key]
-            if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-                raise section.wrong(key, "a whole number")
-            structure[key] = value
+    section.only(form.keys).require(*(key for key in form.keys if key not in form.optional))
+    structure: dict[str, object] = dict(form.optional)
+    for key in section.data:
+        structure[key] = _READERS[key](section, key)
     return structure
 
 
-def _read_phibar(section: Section) -> list[list[list[float]]]:
+def _order(section: Section, key: str) -> int:
+    value = section.data[key]
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise section.wrong(key, "a whole number")
+    return value
+
+
+def _phibar(section: Section, key: str) -> list[list[list[float]]]:
     """phibar_{i,j} of (10) from a table ``"i,j" = [..p numbers..]``; those left out are 0."""
-    n, p = (int(section.number(key)) for key in ("n", "p"))
+    n, p = _order(section, "n"), _order(section, "p")
     phibar = np.zeros((n, n, p))
-    table = section.section("phibar")
+    table = section.section(key)
     valid = [f"{i},{j}" for i in range(1, n + 1) for j in range(1, i + 1)]
-    for key, value in table.only(valid).data.items():
-        i, j = (int(part) - 1 for part in key.split(","))
+    for place, value in table.only(valid).data.items():
+        i, j = (int(part) - 1 for part in place.split(","))
         if not isinstance(value, list) or len(value) != p:
-            raise table.wrong(key, f"{p} numbers")
+            raise table.wrong(place, f"{p} numbers")
         try:
             phibar[i, j] = value
         except (TypeError, ValueError):
-            raise table.wrong(key, f"{p} numbers") from None
+            raise table.wrong(place, f"{p} numbers") from None
     rows: list[list[list[float]]] = phibar.tolist()
     return rows
 
 
-def _block(section: Section, folder: str, model: Model) -> FmuSpec:
+def _numbers(section: Section, key: str) -> object:
+    try:
+        return np.asarray(section.data[key], dtype=float).tolist()
+    except (TypeError, ValueError):
+        raise section.wrong(key, "numbers, or rows of numbers of one length") from None
+
+
+def _text(section: Section, key: str) -> str:
+    return section.text(key)
+
+
+_READERS = {
+    "n": _order,
+    "m": _order,
+    "p": _order,
+    "phibar": _phibar,
+    "A": _numbers,
+    "B": _numbers,
+    "filter": _text,
+}
+
+
+def _units(section: Section, *models: Model) -> Units:
+    """The units of variables by name; those of theta hold for its estimate too."""
+    sizes: dict[str, int] = {}
+    for model in models:
+        groups = [i.variables for i in model.inputs] + [y.variables for y in model.outputs]
+        groups += [] if model.theta is None else [model.theta]
+        sizes.update({v.name: len(v.names) for v in groups})
+    units: dict[str, str | list[str]] = {}
+    for name, value in section.only(sizes).data.items():
+        names = [value] if isinstance(value, str) else value
+        if not isinstance(names, list) or (value is names and len(names) != sizes[name]):
+            raise section.wrong(name, f"a unit, or {sizes[name]} of them")
+        for unit in map(str, names):
+            section.attempt(name, partial(base_unit, unit or "1"))
+        units[name] = value if isinstance(value, str) else [str(unit) for unit in names]
+    return {"theta_hat": units["theta"], **units} if "theta" in units else units
+
+
+def _block(section: Section, folder: str, model: Model, special: Special | None) -> FmuSpec:
     section.only(("name", "start"))
     name = section.text("name", model.name)
     if not name.isidentifier():
         raise section.wrong("name", "a C identifier: letters, digits and _")
     start = section.section("start")
-    return FmuSpec(name, folder, start.attempt("", lambda: model.with_defaults(start.data)))
+    changed = start.attempt("", lambda: model.with_defaults(start.data))
+    return FmuSpec(name, folder, changed, special)
 
 
 def _plant(section: Section, folder: str, model: Model, base: Path) -> FmuSpec:
     section.only(("name", "start", "profile"))
-    rest = Section(
-        section.file,
-        section.path,
-        {key: value for key, value in section.data.items() if key != "profile"},
-    )
-    block = _block(rest, folder, model)
+    own = {key: value for key, value in section.data.items() if key != "profile"}
+    block = _block(Section(section.file, section.path, own), folder, model, None)
     names = model.theta.names if model.theta is not None else ()
     table = section.section("profile").only(names)
     profiles = tuple(_profile(table, name, base) for name in names)
-    slotted = tuple(ProfileSlots(profile, _slots(profile)) for profile in profiles)
-    return FmuSpec(block.name, folder, block.model, slotted)
+    return replace(block, profiles=tuple(ProfileSlots(p, _slots(p)) for p in profiles))
 
 
 def _profile(table: Section, name: str, base: Path) -> Profile:

@@ -91,7 +91,7 @@ def _modules(fmu: FmuSpec, interface: Interface, sources: Path) -> dict[str, str
     modules = {file.name: file.read_text("utf-8") for file in files}
     modules["signals.py"] = Path(signals.__file__).read_text("utf-8")
     modules["slave.py"] = (sources / fmu.folder / "slave.py").read_text("utf-8")
-    modules["equations.py"] = equations_module(fmu.model)
+    modules["equations.py"] = equations_module(fmu.model, fmu.special)
     modules["interface.py"] = _interface_module(fmu, interface)
     return modules
 
@@ -143,6 +143,7 @@ def _interface_module(fmu: FmuSpec, interface: Interface) -> str:
                 p.domain.name,
                 interface.parameters[p.variables.name],
                 p.variables.shape[1],
+                p.variables.indexed,
             )
             for p in model.parameters
         ),

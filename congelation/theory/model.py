@@ -238,6 +238,22 @@ class Model:
         )
         return replace(self, parameters=parameters, states=states)
 
+    def with_units(self, units: Mapping[str, str | Sequence[str]]) -> Model:
+        """This model with units for the variables of the given names; unknown names are ignored."""
+
+        def measured(v: Variables) -> Variables:
+            unit = units.get(v.name, v.unit)
+            return replace(v, unit=unit if isinstance(unit, str) else tuple(unit))
+
+        return replace(
+            self,
+            inputs=tuple(replace(i, variables=measured(i.variables)) for i in self.inputs),
+            states=tuple(replace(s, variables=measured(s.variables)) for s in self.states),
+            parameters=tuple(replace(p, variables=measured(p.variables)) for p in self.parameters),
+            outputs=tuple(replace(y, variables=measured(y.variables)) for y in self.outputs),
+            theta=None if self.theta is None else measured(self.theta),
+        )
+
     def evaluate(
         self, expressions: Sequence[ca.SX], values: Mapping[str, object]
     ) -> list[np.ndarray]:

@@ -87,12 +87,19 @@ def _residual(a, g, q, x):
     return max(abs(ax[i][j] + ax[j][i] - xgx[i][j] + q[i][j]) for i in n for j in n) / size
 
 
+def _shift(n):
+    """The n x n upper shift matrix S of (27)."""
+    return [[1.0 if j == i + 1 else 0.0 for j in range(n)] for i in range(n)]
+
+
+def _scaled(a, factor):
+    return [[factor * value for value in row] for row in a]
+
+
 def _filter_solution(n, r, epsilon):
     """X of (43) with Q = I / epsilon^2, or None."""
-    shift = [[1.0 if j == i + 1 else 0.0 for j in range(n)] for i in range(n)]
     g = [[(i == j) * ((i == 0) - 1.0 / r**2) for j in range(n)] for i in range(n)]
-    q = [[value / epsilon**2 for value in row] for row in identity(n)]
-    return riccati(shift, g, q)
+    return riccati(_shift(n), g, _scaled(identity(n), 1.0 / epsilon**2))
 
 
 def iss_filter_gain(r, epsilon, n):
@@ -105,25 +112,96 @@ def iss_filter_gain(r, epsilon, n):
     """
     x = _filter_solution(n, r, epsilon)
     if x is None:
+        least = _least(lambda value: _filter_solution(n, value, epsilon) is not None, r)
         raise Infeasible(
             f"(r = {r:.6g}, epsilon = {epsilon:.6g}) is infeasible: (43) has no positive definite "
-            f"solution; the smallest feasible r is about {_smallest_r(n, r, epsilon):.4g}"
+            f"solution; the smallest feasible r is about {least:.4g}"
         )
     return [0.5 * row[0] for row in x]
 
 
-def _smallest_r(n, r, epsilon):
-    """The smallest feasible r to four digits; r itself is known to be infeasible."""
-    low, high = r, 2.0 * r
-    while _filter_solution(n, high, epsilon) is None:
+def _least(feasible, infeasible, width=1e-4):
+    """The least number that is feasible, to a relative width, above one that is not."""
+    low, high = infeasible, 2.0 * infeasible
+    while not feasible(high):
         low, high = high, 2.0 * high
-    while high - low > 1e-4 * high:
+    while high - low > width * high:
         middle = 0.5 * (low + high)
-        if _filter_solution(n, middle, epsilon) is None:
-            low = middle
-        else:
+        if feasible(middle):
             high = middle
+        else:
+            low = middle
     return high
 
 
-RULES = {"iss_filter_gain": iss_filter_gain}
+def _filter_matrix(k):
+    """A_f = S - k e_1^T."""
+    a = _shift(len(k))
+    for row, gain in zip(a, k):
+        row[0] -= gain
+    return a
+
+
+def hurwitz_filter_gain(k):
+    """`k` itself, if A_f = S - k e_1^T is Hurwitz: its matrix sign is then -I.
+
+    Raises
+    ------
+    Infeasible
+        If it is not.
+    """
+    sign = _matrix_sign(_filter_matrix(k))
+    n = range(len(k))
+    if sign is None or any(abs(sign[i][j] + (i == j)) > 1e-6 for i in n for j in n):
+        raise Infeasible(
+            "A_f = S - k e_1^T is not Hurwitz; valid: the coefficients of a Hurwitz polynomial "
+            "s^n + k_1 s^(n-1) + .. + k_n"
+        )
+    return list(k)
+
+
+def filter_norm(k):
+    """The least gain g for which A_f^T P + P A_f + P^2 / g^2 + I = 0 has a solution P > 0.
+
+    It is the H-infinity norm of (40), and takes the place of r epsilon in (42).
+    """
+    a = transpose(_filter_matrix(hurwitz_filter_gain(k)))
+    one = identity(len(k))
+
+    def feasible(gain):
+        return riccati(a, _scaled(one, -1.0 / gain**2), one) is not None
+
+    # |A_f^-1| is a lower bound of the norm; a thousandth of |k_n|^-1 is below that.
+    return [_least(feasible, 1e-3 / max(1.0, abs(k[-1])), width=1e-9)]
+
+
+def matched_riccati(rho, epsilon, delta, damping, Q, A, B):
+    """P of the matched case, row by row; see the remark after (8).
+
+    A^T P + P A - (rho - 1/epsilon^2) P B B^T P + epsilon^2 delta^2 I + Q = 0, without the two
+    terms of epsilon for Controller 2.
+
+    Raises
+    ------
+    Infeasible
+        If there is no P > 0.
+    """
+    lost = damping / epsilon**2
+    g = _scaled(product(B, transpose(B)), rho - lost)
+    margin = damping * (epsilon * delta) ** 2
+    q = [[value + margin * (i == j) for j, value in enumerate(row)] for i, row in enumerate(Q)]
+    p = riccati(transpose(A), g, q)
+    if p is None:
+        raise Infeasible(
+            f"(rho = {rho:.6g}, epsilon = {epsilon:.6g}) is infeasible: the Riccati equation has "
+            f"no positive definite solution; take rho > 1/epsilon^2 = {lost:.6g}"
+        )
+    return [value for row in p for value in row]
+
+
+RULES = {
+    "filter_norm": filter_norm,
+    "hurwitz_filter_gain": hurwitz_filter_gain,
+    "iss_filter_gain": iss_filter_gain,
+    "matched_riccati": matched_riccati,
+}

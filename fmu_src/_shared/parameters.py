@@ -33,26 +33,35 @@ def bind(constants):
     ParameterError
         If a value is outside its domain, or the gains do not exist.
     """
-    arguments = {}
-    for name, domain, references, columns in interface.PARAMETERS:
+    flat, arguments = [], {}
+    for name, domain, references, columns, indexed in interface.PARAMETERS:
         values = [constants[vr] for vr in references]
         _check(name, domain, references, values, columns)
-        arguments[name] = [float(value) for value in values]
+        numbers = [float(value) for value in values]
+        flat += numbers
+        arguments[name] = _shaped(numbers, columns) if indexed else numbers[0]
     gains = []
     for name, rule, names, fixed in interface.RULES:
         try:
-            found = RULES[rule](*(arguments[n][0] for n in names), **fixed)
+            found = RULES[rule](*[arguments[n] for n in names], **fixed)
         except (ArithmeticError, ValueError) as error:
             raise ParameterError(f"{name}: {error}") from error
         gains += found
-    flat = [value for values in arguments.values() for value in values] + gains
-    return Bound(*equations.bind(*flat), gains)
+    return Bound(*equations.bind(*flat, *gains), gains)
+
+
+def _shaped(numbers, columns):
+    """A vector as a list, a matrix as a list of rows."""
+    return numbers if columns == 1 else _rows(numbers, columns)
+
+
+def _rows(numbers, columns):
+    return [numbers[i : i + columns] for i in range(0, len(numbers), columns)]
 
 
 def _check(name, domain, references, values, columns):
     if domain == "POSITIVE_DEFINITE":
-        rows = [values[i : i + columns] for i in range(0, len(values), columns)]
-        _check_positive_definite(name, rows)
+        _check_positive_definite(name, _rows(values, columns))
         return
     valid, phrase = _DOMAINS[domain]
     for vr, value in zip(references, values):

@@ -1,0 +1,105 @@
+"""The classes of systems that FMUs can be built for, and how their models are derived."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from congelation.errors import InvalidInput, nearest
+from congelation.export.equations import Special
+from congelation.theory.adaptation import NEUTRAL, AdaptationFactory, gradient, robust
+from congelation.theory.kfilter import FilterFactory, iss_filter, standard_filter
+from congelation.theory.matching import matched_controller, matched_plant
+from congelation.theory.model import Model
+from congelation.theory.observer_form import observer_form_plant
+from congelation.theory.output_feedback import output_feedback_controller
+from congelation.theory.scalar import scalar_controller, scalar_plant
+from congelation.theory.state_feedback import state_feedback_controller
+from congelation.theory.strict_feedback import strict_feedback_plant
+
+__all__ = ["FORMS", "Form", "Structure", "models_of"]
+
+Structure = Mapping[str, Any]
+"""What a form is derived from, as numbers and lists: it goes into FMUs as JSON."""
+
+FILTERS: Mapping[str, FilterFactory] = {"iss": iss_filter, "standard": standard_filter}
+
+
+@dataclass(frozen=True)
+class Form:
+    """A class of systems.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        What its structure holds.
+    plant, controller : callable
+        From the structure to the model; the controller takes the law of its estimates too.
+    plant_folder, controller_folder : str
+        In fmu_src.
+    optional : mapping
+        Keys that may be left out, and what they then are.
+    """
+
+    keys: tuple[str, ...]
+    plant: Callable[[Structure], Model]
+    controller: Callable[[Structure, AdaptationFactory], Model]
+    plant_folder: str
+    controller_folder: str
+    optional: Mapping[str, object] = field(default_factory=dict)
+
+    def models(self, structure: Structure) -> tuple[Model, Model, Special]:
+        """Plant, controller with every adaptation law, and its special case without them."""
+        plain = Special(self.controller(structure, gradient), NEUTRAL)
+        return self.plant(structure), self.controller(structure, robust), plain
+
+
+def models_of(form: str, structure: Structure) -> tuple[Model, Model]:
+    """Plant and controller of a form, from the structure that its spec gave."""
+    plant, controller, _ = FORMS[form].models(structure)
+    return plant, controller
+
+
+def _order(structure: Structure, key: str) -> int:
+    return int(structure[key])
+
+
+def _filter(structure: Structure) -> FilterFactory:
+    name = str(structure.get("filter", "iss"))
+    if name not in FILTERS:
+        raise InvalidInput(f"filter = '{name}' is not known; {nearest(name, FILTERS)}")
+    return FILTERS[name]
+
+
+FORMS: Mapping[str, Form] = {
+    "scalar": Form(
+        (),
+        lambda s: scalar_plant(),
+        lambda s, law: scalar_controller(law),
+        "scalar_plant",
+        "scalar_controller",
+    ),
+    "matched": Form(
+        ("A", "B"),
+        lambda s: matched_plant(s["A"], s["B"]),
+        lambda s, law: matched_controller(s["A"], s["B"], law),
+        "matched_plant",
+        "matched_controller",
+    ),
+    "strict-feedback": Form(
+        ("n", "p", "phibar"),
+        lambda s: strict_feedback_plant(s["phibar"]),
+        lambda s, law: state_feedback_controller(s["phibar"], law),
+        "strict_feedback_plant",
+        "state_feedback_controller",
+    ),
+    "observer": Form(
+        ("n", "m", "filter"),
+        lambda s: observer_form_plant(_order(s, "n"), _order(s, "m")),
+        lambda s, law: output_feedback_controller(_order(s, "n"), _order(s, "m"), law, _filter(s)),
+        "observer_form_plant",
+        "output_feedback_controller",
+        {"filter": "iss"},
+    ),
+}
