@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import logging
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from congelation.cosim.result import Status
 from congelation.errors import InvalidInput, nearest
 from congelation.report.labels import math_label, with_unit
 from congelation.study.metrics import norm
@@ -46,7 +47,6 @@ _BINS = 1500  # a column of print at 300 dpi has about 1000 dots; each bin keeps
 _SYMLOG_RATIO = 30.0  # curves this far apart in peak cannot share a linear axis
 _SYMLOG_FLOOR = 0.1  # the linear part reaches to this fraction of the smallest curve's peak
 _NORM_RANGE = 1e-5  # of the peak: what is below is at rest for every purpose
-_COMPLETED = "COMPLETED"
 _SETTINGS: dict[Any, Any] = {
     "font.size": 8,
     "axes.labelsize": 8,
@@ -96,7 +96,7 @@ def draw(store: Store, name: str) -> Figure:
     Raises
     ------
     InvalidInput
-        If the study defines no such figure, or its runs recorded none of a panel's variables.
+        If the study defines no such figure.
     """
     study = store.read()
     figures = {str(f["name"]): f for f in study.about["figures"]}
@@ -104,7 +104,11 @@ def draw(store: Store, name: str) -> Figure:
         raise InvalidInput(f"{store.root} has no figure '{name}'; {nearest(name, figures)}")
     start, stop = figures[name]["span"] or (-math.inf, math.inf)
     runs = [
-        _Run(str(row["variant"]), row["status"] == _COMPLETED, _cut(trajectory, start, stop))
+        _Run(
+            str(row["variant"]),
+            row["status"] == Status.COMPLETED.name,
+            _cut(trajectory, start, stop),
+        )
         for row in study.rows
         for trajectory in (store.trajectory(str(row["run_id"])),)
     ]
@@ -136,17 +140,15 @@ def _draw(runs: Sequence[_Run], panels: Sequence[str]) -> Figure:
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     drawn: set[str] = set()
     for axis, panel in zip(axes, panels, strict=True):
-        curves = list(_norms(runs, panel) if _is_norm(panel) else _curves(runs, panel))
-        if not curves:
-            raise InvalidInput(f"no run recorded '{panel}' in the span of the figure")
-        curves = _without_repeats(curves)
+        found = _norms(runs, panel) if _is_norm(panel) else _curves(runs, panel)
+        curves = _without_repeats(list(found))
         drawn |= {curve.variant for curve in curves}
         _panel(axis, panel, curves, variants)
     axes[-1].set_xlabel(with_unit("$t$", "s"))
-    axes[-1].set_xlim(
-        min(float(run.trajectory.time[0]) for run in runs),
-        max(float(run.trajectory.time[-1]) for run in runs),
-    )
+    start = min((float(run.trajectory.time[0]) for run in runs), default=0.0)
+    stop = max((float(run.trajectory.time[-1]) for run in runs), default=0.0)
+    if stop > start:
+        axes[-1].set_xlim(start, stop)
     if len(drawn) > 1:
         handles = [
             Line2D([], [], color="black", linestyle=_style(variants, v), label=v) for v in variants
@@ -214,7 +216,7 @@ def _panel(axis: Axes, panel: str, curves: Sequence[_Curve], variants: Sequence[
         _logarithmic(axis, curves)
     else:
         _scale(axis, curves)
-    common_unit = curves[0].unit if len(set(units.values())) == 1 else ""
+    common_unit = next(iter(units.values())) if len(set(units.values())) == 1 else ""
     if len(labels) == 1:
         axis.set_ylabel(with_unit(labels[0], common_unit))
         return
@@ -240,7 +242,7 @@ def _panel(axis: Axes, panel: str, curves: Sequence[_Curve], variants: Sequence[
 
 
 def _logarithmic(axis: Axes, curves: Sequence[_Curve]) -> None:
-    highest = max(float(np.max(curve.values, initial=0.0)) for curve in curves)
+    highest = max((float(np.max(curve.values, initial=0.0)) for curve in curves), default=0.0)
     if highest > 0.0:
         axis.set_yscale("log")
         axis.set_ylim(_NORM_RANGE * highest, 2.0 * highest)

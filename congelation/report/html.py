@@ -10,6 +10,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from congelation.cosim.result import Status
 from congelation.report.figures import draw, figure_names
 from congelation.report.summary import Summary, metric_definitions, summarise
 from congelation.study.store import Store, Study, replace_whole
@@ -55,7 +56,7 @@ def _page(study: Study, figures: Sequence[tuple[str, bytes]]) -> Iterator[str]:
     yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
     yield f"<title>{title}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>"
     for row in study.rows:
-        if row["status"] != "COMPLETED":
+        if row["status"] != Status.COMPLETED.name:
             yield f'<p class="failed">{escape(str(row["variant"]))}: {escape(row["message"])}</p>'
     yield "<h2>Summary</h2>"
     yield from _table(summarise(study))

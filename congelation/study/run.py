@@ -14,10 +14,11 @@ from congelation.cosim.description import Description, describe
 from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.result import Result, Status
+from congelation.errors import InvalidInput
 from congelation.study.scenario import EXPERIMENT, Case, MetricSpec, Scenario, Variant
 from congelation.study.start_values import Scalar
 from congelation.study.store import Store, Trajectory, code_version, content_hash, file_hash
-from congelation.study.verify import compare, reference
+from congelation.study.verify import Reference, compare, reference
 
 __all__ = ["Run", "about", "execute", "plan_runs", "run_scenario"]
 
@@ -104,6 +105,7 @@ def execute(
         start_time=experiment.start_time,
         stop_time=experiment.stop_time,
         step=experiment.step,
+        tolerance=experiment.tolerance,
         coupling=experiment.coupling,
         options=experiment.options,
         record=experiment.record,
@@ -168,7 +170,7 @@ def run_scenario(
     store = Store(folder)
     store.create()
     runs = plan_runs(scenario)
-    references = {run.run_id: reference(run.case) for run in runs} if verify else {}
+    references = {run.run_id: _reference(scenario, run) for run in runs} if verify else {}
     verification: dict[str, list[dict[str, Any]]] = {}
     with SlavePool() as pool:
         for run in runs:
@@ -181,6 +183,13 @@ def run_scenario(
     described = {**about(scenario, runs), "verification": verification}
     store.compact([run.run_id for run in runs], described)
     return store
+
+
+def _reference(scenario: Scenario, run: Run) -> Reference:
+    try:
+        return reference(run.case)
+    except InvalidInput as error:
+        raise InvalidInput(f"{scenario.file}: {run.variant}: {error}") from error
 
 
 def about(scenario: Scenario, runs: Sequence[Run]) -> dict[str, Any]:

@@ -32,12 +32,16 @@ class Experiment:
 
     Parameters
     ----------
-    stop_time, step : float
-        Seconds; `step` is the distance of the communication points.
+    stop_time : float
+        Seconds.
     record : tuple of str
         Names ``component.variable``; a vector's name stands for its elements.
     start_time : float
         Seconds.
+    step : float, optional
+        Distance of the communication points, in seconds; with a tolerance, the first one tried.
+    tolerance : float, optional
+        Chooses the steps: how far inputs may be from the outputs that drive them.
     coupling : str
         How inputs move between communication points, one of `congelation.cosim.coupling`.
     options : mapping
@@ -47,9 +51,10 @@ class Experiment:
     """
 
     stop_time: float
-    step: float
     record: tuple[str, ...]
     start_time: float = 0.0
+    step: float | None = None
+    tolerance: float | None = None
     coupling: str = "derivative"
     options: Mapping[str, object] = field(default_factory=dict)
     slave_tolerance: float | None = None
@@ -179,18 +184,25 @@ def read_experiment(section: Section) -> Experiment:
     stop = section.seconds("stop_time")
     if stop <= start:
         raise section.wrong("stop_time", f"a time after start_time = {start:g}")
-    tolerance = section.positive("slave_tolerance") if "slave_tolerance" in section.data else None
-    if section.seconds("step") <= 0.0:
+    step = section.seconds("step") if "step" in section.data else None
+    if step is not None and step <= 0.0:
         raise section.wrong("step", "a positive time")
+    if step is None and "tolerance" not in section.data:
+        raise section.error("step", "is missing; give a time in seconds, or a tolerance")
     coupling = section.text("coupling", "derivative")
     options = dict(section.section("options").data)
     section.attempt("coupling", partial(make_coupling, coupling, options))
     return Experiment(
         stop_time=stop,
-        step=section.seconds("step"),
         record=section.texts("record"),
         start_time=start,
+        step=step,
+        tolerance=_optional_positive(section, "tolerance"),
         coupling=coupling,
         options=options,
-        slave_tolerance=tolerance,
+        slave_tolerance=_optional_positive(section, "slave_tolerance"),
     )
+
+
+def _optional_positive(section: Section, key: str) -> float | None:
+    return section.positive(key) if key in section.data else None

@@ -191,7 +191,7 @@ class Store:
             for name in columns
         }
         time = table["time"].to_numpy()
-        return Trajectory(time, columns, np.array(values).T.reshape(len(time), -1), units)
+        return Trajectory(time, columns, np.array(values).T.reshape(len(time), len(columns)), units)
 
 
 def _trajectory_table(trajectory: Trajectory) -> pa.Table:
