@@ -22,8 +22,8 @@ import numpy.typing as npt
 
 from congelation.cosim.system import Component, System
 from congelation.errors import CongelationError, InvalidInput
-from congelation.export.interface import start_names
 from congelation.export.forms import models_of
+from congelation.export.interface import start_names
 from congelation.signals import Profile
 from congelation.signals import Segment as Piece
 from congelation.study.scenario import Case

@@ -129,7 +129,7 @@ def test_a_full_disk_is_one_line_and_leaves_no_half_file(tmp_path: Path) -> None
 
 def test_places_that_cannot_hold_results(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InvalidInput, match="results cannot be written to .*file"):
+    with pytest.raises(InvalidInput, match=r"results cannot be written to .*file"):
         Store(tmp_path / "file" / "results").create()
     with pytest.raises(InvalidInput, match="results cannot be written to /proc"):
         Store(Path("/proc/results")).create()
