@@ -29,8 +29,14 @@ fmus/manifest.json: .venv/installed $(SOURCES)
 
 fmus: fmus/manifest.json
 
+DEMO := scalar fig1 fig2 fig3 fig3_r11
+
 demo: fmus
-	$(BIN)/python -m congelation.demo
+	@for name in $(DEMO); do \
+		$(BIN)/congelation run scenarios/$$name.toml --out results/$$name || exit $$?; \
+		$(BIN)/congelation report results/$$name --html results/$$name/report.html || exit $$?; \
+	done
+	@echo "Figures: results/<scenario>/figures; reports: results/<scenario>/report.html"
 
 test: fmus
 	$(BIN)/python -m pytest

@@ -6,7 +6,11 @@ __all__ = ["StrictFeedbackPlant"]
 class StrictFeedbackPlant(Plant):
     """A plant in parametric strict-feedback form (9)."""
 
-    # The wrapper drops a reference to this module's globals with every instance that it makes;
-    # this function, made anew each time, holds one. Without it the host crashes.
+    # The wrapper makes this class anew for every instance and never frees it, and each time it
+    # drops a reference to this module's globals that it does not own. Two functions hold two:
+    # with one, the globals are freed too early and the host can crash at its exit.
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
+
+    def __repr__(self):
+        return f"<{self.modelName} {self.instance_name}>"
