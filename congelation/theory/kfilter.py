@@ -6,6 +6,7 @@ congealed parameters ell in the place of theta, x_tilde obeys (40).
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -50,18 +51,22 @@ FilterFactory = Callable[[int], FilterDesign]
 """Makes the design of a filter of order n."""
 
 
+@functools.cache
+def _moderate_r(n: int, epsilon_b: float, rho: int) -> float:
+    """Twice the smallest feasible r for epsilon_a = 1, rounded up: a filter of moderate gain."""
+    return float(math.ceil(2 * smallest_feasible_r(n, iss_weight(n, 1.0, epsilon_b, rho))))
+
+
 def iss_filter(n: int) -> FilterDesign:
     """The ISS K-filter of Theorem 1, b constant: k = X e_1 / 2, X from (43), Q = I/epsilon^2."""
     k = vector("k", n, "Injection gain k = X e_1 / 2 of Theorem 1")
     r = scalar("r", "Gain bound r of the ISS K-filter, (42)")
     epsilon = scalar("epsilon", "Weight in Young's inequality, (41)")
-    # Twice the smallest feasible r for epsilon = 1, rounded up: a filter of moderate gain.
-    default_r = math.ceil(2 * smallest_feasible_r(n, iss_weight(n, 1.0)))
     return FilterDesign(
         k,
         disturbance_gain=r.symbol * epsilon.symbol,
         parameters=(
-            Parameter(r, (float(default_r),), Domain.POSITIVE),
+            Parameter(r, (_moderate_r(n, math.inf, n),), Domain.POSITIVE),
             Parameter(epsilon, (1.0,), Domain.POSITIVE),
         ),
         gains=(Gain(k, "iss_filter_gain", ("r", "epsilon"), {"n": n}),),
@@ -84,13 +89,12 @@ def varying_b_filter(rho: int) -> FilterFactory:
         r = scalar("r", "Gain bound r of the ISS K-filter, (42)")
         epsilon_a = scalar("epsilon_a", "Weight in Young's inequality for a(t), (41)")
         epsilon_b = scalar("epsilon_b", "Weight in Young's inequality for b(t), (41)")
-        default_r = math.ceil(2 * smallest_feasible_r(n, iss_weight(n, 1.0, 1.0, rho)))
         names = ("r", "epsilon_a", "epsilon_b")
         return FilterDesign(
             k,
             disturbance_gain=r.symbol * epsilon_a.symbol,
             parameters=(
-                Parameter(r, (float(default_r),), Domain.POSITIVE),
+                Parameter(r, (_moderate_r(n, 1.0, rho),), Domain.POSITIVE),
                 Parameter(epsilon_a, (1.0,), Domain.POSITIVE),
                 Parameter(epsilon_b, (1.0,), Domain.POSITIVE),
             ),

@@ -40,7 +40,7 @@ def matched_certificate(loop: ClosedLoop) -> Certificate:
 
 
 def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
-    """(23): V = |z|^2/2 + (ell - theta_hat)^T Gamma^-1 (ell - theta_hat)/2, V' <= -sum c_i z_i^2."""
+    """V = |z|^2/2 + (ell - theta_hat)^T Gamma^-1 (ell - theta_hat)/2, V' <= -sum c_i z_i^2 (23)."""
     z, ell, values = loop.bound_signal("controller.z"), _congealed(loop), loop.values
     V = ca.sumsqr(z) / 2 + _estimation(loop, ell, values["Gamma"]) / 2
     claimed = ca.sum1(ca.DM(values["c"]) * z**2)
