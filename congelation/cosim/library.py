@@ -37,6 +37,11 @@ class Message:
     category: str
     text: str
 
+    @property
+    def line(self) -> str:
+        """The text in one line."""
+        return " ".join(self.text.split())
+
 
 @dataclass
 class Log:

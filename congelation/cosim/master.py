@@ -116,6 +116,14 @@ def _outcome(
     session: Session, step: float | None, tolerance: float | None, slave_tolerance: float | None
 ) -> tuple[Status, str]:
     """Run a session to its end, whatever that is."""
+    # Overflow and nan are looked for after every step, and end the run with a name.
+    with np.errstate(over="ignore", invalid="ignore"):
+        return _advanced(session, step, tolerance, slave_tolerance)
+
+
+def _advanced(
+    session: Session, step: float | None, tolerance: float | None, slave_tolerance: float | None
+) -> tuple[Status, str]:
     try:
         session.initialise(slave_tolerance)
         stepper = session.stepper

@@ -19,6 +19,9 @@ Progress = Callable[[float], None]
 PROGRESS_PERIOD = 0.1
 """Seconds between reports of progress."""
 
+UNITS_BEFORE = 8.0
+"""Units in the last place between a jump and the point that counts as before it."""
+
 
 class Session:
     """What the fixed and the adaptive stepping share.
@@ -149,5 +152,9 @@ class Session:
 
 
 def just_before(event: float) -> float:
-    """The last point of time before a jump."""
-    return math.nextafter(event, -math.inf)
+    """The point of time that counts as before a jump.
+
+    A few units in the last place earlier: with one alone, an FMU that computes its own time with
+    a rounding error would already be past the jump.
+    """
+    return event - UNITS_BEFORE * math.ulp(event)

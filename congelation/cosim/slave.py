@@ -252,12 +252,11 @@ class Slave:
         step. During initialisation the message is the failure.
         """
         if self.log.error is not None:
-            raise SlaveError(self.name, self.time, self.log.error.text)
+            raise SlaveError(self.name, self.time, self.log.error.line)
 
     def _reason(self, otherwise: str) -> str:
-        if self.log.error is not None:
-            return self.log.error.text
-        return self.log.messages[-1].text if self.log.messages else otherwise
+        message = self.log.error or (self.log.messages[-1] if self.log.messages else None)
+        return otherwise if message is None else message.line
 
     def _check(self, function: str, status: int) -> None:
         if status > WARNING:

@@ -88,10 +88,10 @@ def _scalar_variable(description: Description, name: str, place: str) -> Variabl
 
 
 def _array(value: object, place: str) -> np.ndarray:
-    try:
-        return np.array(value, dtype=object)
-    except ValueError as error:
-        raise InvalidInput(f"{place}: rows of different lengths") from error
+    array = np.array(value, dtype=object)
+    if any(isinstance(item, list | tuple | np.ndarray) for item in array.flat):
+        raise InvalidInput(f"{place}: rows of different lengths")
+    return array
 
 
 def _indices(name: str) -> tuple[str, tuple[int, ...]]:

@@ -144,8 +144,8 @@ class _HermiteStepper(AdaptiveStepper):
             name = self._ensemble.links[self._worst].name
             raise RunEnded(
                 Status.NOT_CONVERGED,
-                f"the step from t = {time:.9g} to {end:.9g}: {self._coupling.max_sweeps} sweeps "
-                f"left the connection {name} changing",
+                f"the step from t = {time:.9g} to {end:.9g}: sweeps left the connection {name} "
+                f"changing (at most {self._coupling.max_sweeps} are made)",
             )
         self.accept()
 
@@ -166,7 +166,8 @@ class _HermiteStepper(AdaptiveStepper):
             if count > 1 and self._checkpoint is not None:
                 self._checkpoint.restore()
             self._sweep(time, length, polynomial)
-            self._ensemble.check(end)
+            if not self._is_finite(end, count):
+                break
             if self._settled(length, count):
                 self._error = ends.defect(self._predicted, length)
                 break
@@ -188,6 +189,18 @@ class _HermiteStepper(AdaptiveStepper):
             if self._feeds[m]:
                 np.copyto(ends.w[2:], ends.new, where=self._forward[m])
         self.sweeps += 1
+
+    def _is_finite(self, end: float, count: int) -> bool:
+        """Whether the values can be gone on with; if the first sweep already spoilt them, the run
+        is over, while later ones have only failed to converge.
+        """
+        try:
+            self._ensemble.check(end)
+        except RunEnded:
+            if count == 1:
+                raise
+            return False
+        return True
 
     def _lower(self, length: float) -> None:
         """Polynomials for inputs that take fewer than three derivatives."""

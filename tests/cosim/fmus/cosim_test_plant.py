@@ -28,6 +28,8 @@ class TestPlant(Block):
     def half_periods(self, t):
         half = self.values["T"] / 2
         count = math.floor(t / half)
+        if count * half > t:
+            return count - 1
         return count + 1 if (count + 1) * half <= t else count
 
     def next_event(self, t):

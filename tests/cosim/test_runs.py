@@ -1,0 +1,266 @@
+"""Whole runs: times, rows, statuses."""
+
+import math
+
+import numpy as np
+import pytest
+
+from congelation.cosim import (
+    COUPLINGS,
+    Component,
+    Connection,
+    SlavePool,
+    Status,
+    System,
+    make_coupling,
+    simulate,
+)
+from congelation.cosim.fixed import number_of_steps
+from congelation.errors import InvalidInput
+
+FIXED = ("jacobi", "gauss_seidel", "derivative", "hermite")
+
+
+@pytest.mark.parametrize("coupling", FIXED)
+def test_rows_stand_at_the_grid_points(loop, coupling):
+    result = simulate(loop(), start_time=0.2, stop_time=0.9, step=0.1, coupling=coupling)
+    assert result.status is Status.COMPLETED
+    assert result.time.tolist() == [*(0.2 + k * 0.1 for k in range(7)), 0.9]
+    assert result.values.shape == (8, 4)
+    assert result.statistics.macro_steps == 7
+
+
+@pytest.mark.parametrize("coupling", FIXED)
+def test_the_last_step_is_shortened(loop, coupling):
+    result = simulate(loop(), stop_time=1.0, step=0.3, coupling=coupling)
+    assert result.time.tolist() == [0.0, 0.3, 0.6, 3 * 0.3, 1.0]
+
+
+def test_many_steps_do_not_drift(fmus):
+    system = System((Component("d", fmus / "TestDiscrete.fmu"),))
+    result = simulate(system, stop_time=1000.0, step=0.1, coupling="jacobi", record=["d.y"])
+    assert result.time[-1] == 1000.0
+    assert np.array_equal(result.time[1:-1], 0.1 * np.arange(1, 10000))
+    assert np.array_equal(result.values[1:, 0], result.time[1:])
+
+
+@pytest.mark.parametrize(
+    ("start", "stop", "step", "count"),
+    [
+        (0, 1, 0.1, 10),
+        (0, 0.3, 0.1, 3),
+        (0, 1, 0.3, 4),
+        (0, 1, 5, 1),
+        (2, 12, 1e-3, 10000),
+        (0, 1e4, 1e-3, 10**7),
+        (0, 1.0000001, 0.1, 11),
+    ],
+)
+def test_the_number_of_steps(start, stop, step, count):
+    assert number_of_steps(start, stop, step) == count
+
+
+@pytest.mark.parametrize("coupling", FIXED)
+def test_the_first_row_is_consistent_at_the_start(loop, coupling):
+    result = simulate(loop(), stop_time=0.1, step=0.1, coupling=coupling)
+    x1, x2, u, q = result.values[0]
+    assert (x1, x2, q) == (1.0, 0.5, 0.0)
+    assert u == -2.0 * 1.0 - 1.0 * 0.5 - 0.3
+
+
+def test_a_recorded_input_has_the_value_of_its_source(loop):
+    result = simulate(
+        loop(),
+        stop_time=0.5,
+        step=0.1,
+        coupling="jacobi",
+        record=["plant.u", "controller.u", "controller.x", "plant.x", "plant.w"],
+    )
+    assert np.array_equal(result.column("plant.u"), result.column("controller.u"))
+    assert np.array_equal(result.column("controller.x"), result.column("plant.x"))
+    assert set(result.column("plant.w")) == {1.5}
+
+
+def test_an_unconnected_input_is_held_at_its_start_value(fmus):
+    system = System((Component("g", fmus / "TestGain.fmu", {"k": 2.0, "u": 3.0}),))
+    result = simulate(system, stop_time=1.0, step=0.25)
+    assert set(result.column("g.y")) == {6.0}
+
+
+def test_integers_booleans_and_strings_are_carried_over(fmus):
+    file = fmus / "TestDiscrete.fmu"
+    system = System(
+        (Component("a", file, {"n_in": 5, "b_in": True, "s_in": "x"}), Component("b", file)),
+        (
+            Connection("a.n_out", "b.n_in"),
+            Connection("a.b_out", "b.b_in"),
+            Connection("a.s_out", "b.s_in"),
+        ),
+    )
+    result = simulate(
+        system, stop_time=3.0, step=1.0, coupling="jacobi", record=["a.n_out", "b.n_out", "b.b_out"]
+    )
+    # b sees at the start of each step what a gave at the end of the step before.
+    assert result.column("a.n_out").tolist() == [0, 6, 6, 6]
+    assert result.column("b.n_out").tolist() == [0, 1, 7, 7]
+    assert result.column("b.b_out").tolist() == [0, 1, 1, 1]
+
+
+@pytest.mark.parametrize("coupling", FIXED)
+def test_a_failing_fmu_ends_the_run_and_keeps_its_rows(fmus, coupling):
+    system = System((Component("f", fmus / "TestFaulty.fmu", {"mode": 1.0, "at": 0.5}),))
+    options = {"sweeps": 1} if coupling == "hermite" else None
+    result = simulate(system, stop_time=1.0, step=0.125, coupling=coupling, options=options)
+    assert result.status is Status.SLAVE_FAILED
+    assert result.message == "f at t = 0.5: the valve is stuck, 100% open"
+    assert result.time.tolist() == [0.0, 0.125, 0.25, 0.375, 0.5]
+    assert not result.completed
+
+
+def test_an_fmu_that_crashes_ends_the_run(fmus):
+    system = System((Component("f", fmus / "TestFaulty.fmu", {"mode": 2.0, "at": 0.5}),))
+    result = simulate(system, stop_time=1.0, step=0.125)
+    assert result.status is Status.SLAVE_FAILED
+    assert "the slave fell over" in result.message
+    assert len(result.time) == 5
+
+
+def test_a_refused_parameter_ends_the_run_before_it_begins(fmus):
+    system = System((Component("f", fmus / "TestFaulty.fmu", {"r": -200.0}),))
+    result = simulate(system, stop_time=1.0, step=0.125)
+    assert result.status is Status.SLAVE_FAILED
+    assert "r = -200 is refused: it must be at least -100" in result.message
+    assert len(result.time) == 0
+
+
+@pytest.mark.parametrize("coupling", FIXED)
+def test_a_value_that_is_not_finite_is_named(fmus, coupling):
+    system = System((Component("f", fmus / "TestFaulty.fmu", {"mode": 3.0, "at": 0.5}),))
+    options = {"sweeps": 1} if coupling == "hermite" else None
+    result = simulate(
+        system, stop_time=1.0, step=0.125, coupling=coupling, options=options, record=["f.y"]
+    )
+    assert result.status is Status.NON_FINITE
+    assert result.message == "f.y at t = 0.625 is nan"
+    assert result.time[-1] == 0.5
+    assert np.isfinite(result.values).all()
+
+
+@pytest.mark.parametrize("kwargs", [{"step": 0.5}, {"tolerance": 1e-4}])
+def test_a_diverging_run_is_named(fmus, kwargs):
+    system = System((Component("f", fmus / "TestFaulty.fmu", {"r": 40.0}),))
+    coupling = "derivative" if "step" in kwargs else "hermite"
+    result = simulate(system, stop_time=100.0, coupling=coupling, record=["f.y"], **kwargs)
+    assert result.status is Status.DIVERGED
+    assert "f.y at t = " in result.message
+    assert result.message.endswith("past 1e+100")
+    assert np.abs(result.values).max() <= 1e100
+
+
+def test_an_unstable_coupling_is_a_status(loop):
+    result = simulate(
+        loop(controller={"k": 1e4, "d": 1e4}), stop_time=50.0, step=0.1, coupling="jacobi"
+    )
+    assert result.status in (Status.DIVERGED, Status.NON_FINITE)
+    assert np.isfinite(result.values).all()
+
+
+@pytest.mark.parametrize("status", Status)
+def test_every_status_is_a_sentence(status):
+    assert status.value.endswith(".")
+    assert status.value[0].isupper()
+
+
+def test_a_pool_gives_the_same_run_again(loop):
+    with SlavePool() as pool:
+        one, two = (
+            simulate(loop(), stop_time=1.0, step=0.1, coupling="hermite", pool=pool)
+            for _ in range(2)
+        )
+    fresh = simulate(loop(), stop_time=1.0, step=0.1, coupling="hermite")
+    assert np.array_equal(one.values, two.values)
+    assert np.array_equal(one.values, fresh.values)
+
+
+def test_a_pool_survives_a_failing_run(fmus):
+    file = fmus / "TestFaulty.fmu"
+    with SlavePool() as pool:
+        for mode in (1.0, 2.0, 0.0):
+            system = System((Component("f", file, {"mode": mode, "at": 0.5}),))
+            result = simulate(system, stop_time=1.0, step=0.25, pool=pool)
+    assert result.completed
+
+
+def test_progress_goes_from_the_start_to_one(loop):
+    heard = []
+    simulate(loop(), stop_time=1.0, step=0.1, progress=heard.append)
+    assert heard == sorted(heard)
+    assert heard[-1] == 1.0
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"stop_time": 0.0, "step": 0.1}, "must be finite and after start_time"),
+        ({"stop_time": math.inf, "step": 0.1}, "must be finite"),
+        ({"stop_time": 1.0}, "give a communication step or a tolerance"),
+        ({"stop_time": 1.0, "step": -0.1}, "step -0.1 must be positive"),
+        ({"stop_time": 1.0, "step": math.nan}, "must be positive"),
+        ({"stop_time": 1.0, "tolerance": 0.0}, "must lie between 0 and 1"),
+        ({"stop_time": 1.0, "step": 0.1, "coupling": "jakobi"}, "did you mean 'jacobi'"),
+        (
+            {"stop_time": 1.0, "step": 0.1, "coupling": "hermite", "options": {"sweep": 2}},
+            "did you mean 'sweeps'",
+        ),
+        ({"stop_time": 1.0, "tolerance": 1e-3, "coupling": "jacobi"}, "takes a fixed step"),
+    ],
+)
+def test_wrong_requests_are_refused(loop, kwargs, message):
+    with pytest.raises(InvalidInput) as caught:
+        simulate(loop(), **kwargs)
+    assert message in str(caught.value)
+
+
+def test_options_belong_to_a_name(loop):
+    with pytest.raises(InvalidInput, match="options go with the name"):
+        simulate(
+            loop(),
+            stop_time=1.0,
+            step=0.1,
+            coupling=make_coupling("hermite"),
+            options={"sweeps": 2},
+        )
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("hermite", {"sweeps": 0}, "sweeps 0"),
+        ("hermite", {"max_sweeps": 0}, "max_sweeps 0"),
+        ("hermite", {"tolerance": -1.0}, "must be positive"),
+        ("hermite", {"acceleration": "magic"}, "broyden"),
+        ("derivative", {"sequence": "zeidel"}, "gauss_seidel"),
+        ("jacobi", {"step": 1.0}, "takes no options"),
+    ],
+)
+def test_options_are_checked(name, options, message):
+    with pytest.raises(InvalidInput, match=message):
+        make_coupling(name, options)
+
+
+def test_the_registry_holds_every_coupling_by_its_name():
+    assert all(kind.name == name for name, kind in COUPLINGS.items())
+
+
+def test_a_result_gives_columns_and_vectors(loop):
+    result = simulate(loop(), stop_time=0.2, step=0.1)
+    assert result.column("plant.x").shape == (3, 2)
+    assert result.column("plant.x[2]").tolist() == result.column("plant.x")[:, 1].tolist()
+    with pytest.raises(InvalidInput, match="no column"):
+        result.column("plant.y")
+
+
+def test_a_system_may_have_no_links_and_nothing_to_record(fmus):
+    system = System((Component("f", fmus / "TestFaulty.fmu"),))
+    result = simulate(system, stop_time=1.0, step=0.5, record=[], coupling="jacobi")
+    assert result.values.shape == (3, 0)
