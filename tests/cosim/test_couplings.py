@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
-from monolithic import order, solution
 
 from congelation.cosim import Component, Connection, Status, System, simulate
 from congelation.cosim.coupling.hermite import Hermite
 from congelation.errors import InvalidInput
+
+from .monolithic import order, solution
 
 RECORD = ["plant.x", "controller.q"]
 

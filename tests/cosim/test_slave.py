@@ -113,16 +113,17 @@ def test_an_exception_in_an_fmu_is_a_failure_and_the_instance_is_abandoned(fmus)
 
 
 def test_a_failing_call_gives_the_logged_message_in_one_line(fmus):
-    with ready(fmus, "TestPlant") as slave:
-        with pytest.raises(SlaveError, match="setReal") as caught:
-            slave.writer([10**6], np.zeros(1))()
+    with ready(fmus, "TestPlant") as slave, pytest.raises(SlaveError, match="setReal") as caught:
+        slave.writer([10**6], np.zeros(1))()
     assert "\n" not in str(caught.value)
 
 
 def test_a_logged_error_during_initialisation_is_a_failure(fmus):
-    with ready(fmus, "TestFaulty", {"r": -200.0}) as slave:
-        with pytest.raises(SlaveError, match="at least -100"):
-            slave.require_no_error()
+    with (
+        ready(fmus, "TestFaulty", {"r": -200.0}) as slave,
+        pytest.raises(SlaveError, match="at least -100"),
+    ):
+        slave.require_no_error()
 
 
 def test_nothing_is_printed(fmus, capfd):

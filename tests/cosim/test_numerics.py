@@ -1,0 +1,136 @@
+"""The pieces that are plain mathematics."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from congelation.cosim.broyden import Broyden
+from congelation.cosim.coupling.history import History, differentiation
+from congelation.cosim.coupling.polynomial import extrapolation, hermite
+from congelation.cosim.graph import strong_components
+from congelation.cosim.step_size import StepSize
+
+coefficients = st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=4)
+lengths = st.floats(1e-3, 10.0)
+
+
+def ends(cubic, h):
+    slope = cubic.deriv()
+    return np.array([cubic(0.0), slope(0.0), cubic(h), slope(h)])
+
+
+@given(coefficients, lengths)
+def test_a_cubic_is_found_from_its_ends(c, h):
+    cubic = np.polynomial.Polynomial(c)
+    taylor = [cubic.deriv(k)(0.0) if k else cubic(0.0) for k in range(4)]
+    scale = np.abs(c) @ np.array([1.0, h, h**2, h**3]) + 1e-300
+    found = hermite(h) @ ends(cubic, h)
+    assert np.abs(found - taylor) * np.array([1.0, h, h**2, h**3]) == pytest.approx(
+        0.0, abs=1e-13 * scale
+    )
+
+
+@given(coefficients, lengths, st.floats(0.1, 5.0))
+def test_a_cubic_is_extrapolated(c, h, ratio):
+    cubic = np.polynomial.Polynomial(c)
+    ahead = ratio * h
+    value, slope = extrapolation(h, ahead) @ ends(cubic, h)
+    scale = np.abs(c) @ np.array([1.0, h, h**2, h**3]) * 300.0 + 1e-300
+    assert value == pytest.approx(cubic(h + ahead), abs=1e-11 * scale)
+    assert slope * h == pytest.approx(cubic.deriv()(h + ahead) * h, abs=1e-11 * scale)
+
+
+@given(coefficients, st.floats(-1.0, 1.0))
+def test_weights_differentiate_cubics_exactly(c, at):
+    cubic = np.polynomial.Polynomial(c)
+    nodes = np.array([-0.8, -0.3, 0.1, 0.6])
+    value, slope = differentiation(nodes, at)
+    assert value @ cubic(nodes) == pytest.approx(cubic(at), abs=1e-11)
+    assert slope @ cubic(nodes) == pytest.approx(cubic.deriv()(at), abs=1e-11)
+
+
+def test_a_history_grows_in_order_and_restarts():
+    cubic = np.polynomial.Polynomial([1.0, -2.0, 0.5, 0.25])
+    history = History(1)
+    history.restart(0.0, np.array([cubic(0.0)]))
+    assert history.slope() == 0.0
+    history.add(0.5, np.array([cubic(0.5)]))
+    assert history.slope() == pytest.approx((cubic(0.5) - cubic(0.0)) / 0.5)
+    history.add(0.8, np.array([cubic(0.8)]))
+    start, end = history.slopes(1.0, np.array([cubic(1.0)]))
+    assert start == pytest.approx(cubic.deriv()(0.8))
+    assert end == pytest.approx(cubic.deriv()(1.0))
+    history.restart(2.0, np.array([7.0]))
+    assert history.predict(3.0)[0] == 7.0
+
+
+@given(st.integers(0, 10**6), st.integers(1, 6), st.floats(0.1, 1e3))
+def test_broyden_solves_affine_problems_in_twice_their_size(seed, size, gain):
+    generator = np.random.default_rng(seed)
+    A = gain * generator.normal(size=(size, size))
+    b = generator.normal(size=size)
+    solution = np.linalg.solve(np.eye(size) - A, b)
+    z, method = np.zeros(size), Broyden(size)
+    for _ in range(2 * size + 1):
+        z = method.step(z, A @ z + b - z)
+    condition = np.linalg.cond(np.eye(size) - A) * (1.0 + gain)
+    assert z == pytest.approx(solution, abs=1e-9 * condition * (1.0 + np.abs(solution).max()))
+
+
+def test_broyden_begins_with_the_plain_iteration_and_keeps_what_it_learnt():
+    method = Broyden(1)
+    g = lambda z: -5.0 * z + 12.0  # noqa: E731  # a formula
+    first = method.step(np.zeros(1), g(np.zeros(1)))
+    assert first == g(0.0)
+    assert method.step(first, g(first) - first) == pytest.approx(2.0)
+    method.restart()
+    assert method.step(np.ones(1), g(np.ones(1)) - 1.0) == pytest.approx(2.0)
+    method.forget()
+    assert method.step(np.ones(1), g(np.ones(1)) - 1.0) == g(1.0)
+
+
+@given(st.dictionaries(st.integers(0, 8), st.sets(st.integers(0, 8))))
+def test_strong_components_against_reachability(edges):
+    nodes = range(9)
+    graph = {node: sorted(edges.get(node, ())) for node in nodes}
+    reaches = np.eye(9, dtype=bool)
+    for _ in nodes:
+        for node in nodes:
+            for after in graph[node]:
+                reaches[node] |= reaches[after]
+    components = strong_components(graph)
+    assert sorted(node for component in components for node in component) == list(nodes)
+    place = {node: k for k, component in enumerate(components) for node in component}
+    for a in nodes:
+        for b in nodes:
+            assert (place[a] == place[b]) == (reaches[a, b] and reaches[b, a])
+            if reaches[a, b]:
+                assert place[a] <= place[b]
+
+
+def test_the_step_settles_where_the_error_meets_the_tolerance():
+    """error = (h / 0.02)^4: the controller ends a little below h = 0.02, without a rejection."""
+    size = StepSize(0.001, 4)
+    for _ in range(60):
+        error = (size.length / 0.02) ** 4
+        assert error <= 1.0
+        size = size.accepted(error, size.length)
+    assert 0.013 < size.length < 0.02
+
+
+@given(st.floats(0.0, 1.0))
+def test_the_step_does_not_grow_right_after_a_rejection(error):
+    size = StepSize(1.0, 4).refused(16.0, 1.0)
+    assert size.length == pytest.approx(0.45)
+    after = size.accepted(error, size.length)
+    assert after.length <= size.length
+    assert not after.rejected
+
+
+@given(st.floats(1.0, 1e9))
+def test_a_refused_step_shrinks_within_bounds(error):
+    assert 0.2 <= StepSize(1.0, 4).refused(error, 1.0).length <= 0.9
+    assert StepSize(1.0, 4).refused(math.inf, 1.0).length == 0.2
