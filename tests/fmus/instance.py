@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import atexit
 import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
 import fmpy
@@ -69,7 +71,7 @@ class Instance:
 @contextmanager
 def loaded(path: Path, count: int = 1) -> Iterator[Sequence[Instance]]:
     """Instances of the FMU at `path`."""
-    folder = fmpy.extract(str(path))
+    folder = _extracted(path, path.stat().st_mtime_ns)
     description = fmpy.read_model_description(str(path))
     variables = description.modelVariables
     made: list[Instance] = []
@@ -100,7 +102,14 @@ def loaded(path: Path, count: int = 1) -> Iterator[Sequence[Instance]]:
     finally:
         for instance in made:
             instance.slave.fmi2FreeInstance(instance.slave.component)
-        shutil.rmtree(folder, ignore_errors=True)
+
+
+@cache
+def _extracted(path: Path, _version: int) -> str:
+    """The FMU's files, unpacked once a process: each copy of its library is loaded for good."""
+    folder: str = fmpy.extract(str(path))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return folder
 
 
 def _callbacks(instance: Instance) -> fmi2CallbackFunctions:
