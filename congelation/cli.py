@@ -1,6 +1,7 @@
 """The command line: ``congelation COMMAND``; every command is a thin layer over the packages.
 
-Exit codes: 0 done; 1 a run failed or a check did not hold; 2 the input or the usage is wrong.
+Exit codes: 0 done; 1 a run failed or a check did not hold; 2 the input or the usage is wrong;
+130 interrupted.
 What a user can set right is one line on stderr, never a traceback.
 """
 
@@ -52,9 +53,6 @@ def main() -> None:
     except CongelationError as error:
         _complain(str(error))
         sys.exit(FAILED)
-    except KeyboardInterrupt:
-        _complain("interrupted")
-        sys.exit(INTERRUPTED)
 
 
 def _complain(text: str) -> None:
@@ -92,7 +90,11 @@ def run(
 ) -> None:
     """Run all variants of a scenario: summary, trajectories and figures."""
     folder = out if out is not None else Path("results") / scenario.stem
-    store = _run_with_progress(load_scenario(scenario), folder, verify)
+    try:
+        store = _run_with_progress(load_scenario(scenario), folder, verify)
+    except KeyboardInterrupt as error:
+        _complain("interrupted")
+        raise typer.Exit(INTERRUPTED) from error
     _print_summary(store)
     _print_figures(store)
     print(store.index)

@@ -14,7 +14,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -32,13 +32,19 @@ from congelation.study.store import Store, Trajectory, replace_whole
 __all__ = ["FORMATS", "draw", "figure_names", "save"]
 
 Array = npt.NDArray[np.float64]
+_Style = Literal["-"] | tuple[float, Sequence[float]]
 
 FORMATS = ("pdf", "png")
 
 # M. Okabe and K. Ito, Color Universal Design, 2008: told apart under every common colour vision.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 # Solid, dashed, dotted, dash-dotted: offset and lengths of dashes and gaps, in line widths.
-_STYLES = ((0.0, ()), (0.0, (3.7, 1.6)), (0.0, (1.0, 1.6)), (0.0, (6.4, 1.6, 1.0, 1.6)))
+_STYLES: tuple[_Style, ...] = (
+    "-",
+    (0.0, (3.7, 1.6)),
+    (0.0, (1.0, 1.6)),
+    (0.0, (6.4, 1.6, 1.0, 1.6)),
+)
 _WIDTH = 3.5  # inches: a column of the IEEE format
 _PANEL_HEIGHT = 1.25  # inches
 _MARGIN_HEIGHT = 0.75  # inches: the legend above, the time axis below
@@ -266,7 +272,7 @@ def _scale(axis: Axes, curves: Sequence[_Curve]) -> None:
     axis.set_yticks([*(-d for d in decades), 0.0, *reversed(decades)])
 
 
-def _style(variants: Sequence[str], variant: str) -> tuple[float, Sequence[float]]:
+def _style(variants: Sequence[str], variant: str) -> _Style:
     return _STYLES[variants.index(variant) % len(_STYLES)]
 
 

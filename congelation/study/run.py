@@ -15,6 +15,7 @@ from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.result import Result, Status
 from congelation.errors import InvalidInput
+from congelation.study.interrupt import deferred_interrupts
 from congelation.study.scenario import EXPERIMENT, Case, MetricSpec, Scenario, Variant
 from congelation.study.start_values import Scalar
 from congelation.study.store import Store, Trajectory, code_version, content_hash, file_hash
@@ -172,9 +173,9 @@ def run_scenario(
     runs = plan_runs(scenario)
     references = {run.run_id: _reference(scenario, run) for run in runs} if verify else {}
     verification: dict[str, list[dict[str, Any]]] = {}
-    with SlavePool() as pool:
+    with SlavePool() as pool, deferred_interrupts() as check:
         for run in runs:
-            report = partial(progress, run.variant) if progress is not None else None
+            report = partial(_report, check, progress, run.variant)
             row, trajectory = execute(run, scenario, pool, report)
             store.write(row, trajectory)
             if verify and row["status"] == Status.COMPLETED.name:
@@ -183,6 +184,14 @@ def run_scenario(
     described = {**about(scenario, runs), "verification": verification}
     store.compact([run.run_id for run in runs], described)
     return store
+
+
+def _report(
+    check: Callable[[], None], progress: Callable[[str, float], None] | None, name: str, done: float
+) -> None:
+    check()
+    if progress is not None:
+        progress(name, done)
 
 
 def _reference(scenario: Scenario, run: Run) -> Reference:
