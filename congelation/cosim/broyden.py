@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.linalg.lapack import dgesv
 
 __all__ = ["Broyden"]
 
 Floats = npt.NDArray[np.float64]
 
-SMALLEST_DENOMINATOR = 1e-3
-"""Below this share of the step's own length an update would blow the matrix up; it is left out."""
-
 
 class Broyden:
-    """Broyden's "good" method for the residual r(z) = G(z) - z.
+    """Broyden's "good" method for z = G(z).
 
-    The inverse Jacobian is started as that of the plain iteration z <- G(z), so the first
-    iteration of all is the plain one, and it is kept from one problem to the next: neighbouring
-    problems have nearly the same Jacobian (the idea of the multi-vector interface quasi-Newton
-    methods of partitioned fluid-structure solvers). An affine problem in n values is solved in at
-    most 2 n iterations, contracting or not.
+    The Jacobian of G is started as zero, so the first iteration of all is the plain one,
+    z <- G(z), and it is kept from one problem to the next: neighbouring problems have nearly the
+    same Jacobian (the idea of the multi-vector interface quasi-Newton methods of partitioned
+    fluid-structure solvers). An affine problem in n values is solved in at most 2 n iterations,
+    contracting or not.
 
     C. G. Broyden, A class of methods for solving nonlinear simultaneous equations, Math. Comp. 19
     (1965), eq. (4.5); D. M. Gay, Some convergence properties of Broyden's method, SIAM J. Numer.
@@ -33,47 +31,40 @@ class Broyden:
 
     Attributes
     ----------
-    H : array, shape (n, n)
-        z <- z + H r; minus the approximate inverse of dr/dz.
+    J : array, shape (n, n)
+        Approximate Jacobian of G. It is replaced, never changed in place, so that a reference
+        kept elsewhere stays as it was.
     """
 
     def __init__(self, size: int) -> None:
-        self.H: Floats = np.eye(size)
+        self.J: Floats = np.zeros((size, size))
         self._z: Floats | None = None
         self._r: Floats | None = None
 
     def restart(self) -> None:
-        """Begin a new problem; the matrix is kept."""
+        """Begin a new problem; the Jacobian is kept."""
         self._z = self._r = None
 
-    def forget(self) -> None:
-        """Begin a new problem with the plain iteration."""
-        self.H = np.eye(self.H.shape[0])
-        self.restart()
+    def rescale(self, ratio: float) -> None:
+        """Multiply the Jacobian, where the new problem's is known to be larger by that ratio."""
+        self.J = self.J * ratio
 
-    def step(self, z: Floats, r: Floats) -> Floats:
-        """The next iterate.
-
-        Parameters
-        ----------
-        z : array, shape (n,)
-        r : array, shape (n,)
-            Its residual G(z) - z.
-
-        Returns
-        -------
-        array, shape (n,)
-        """
+    def learn(self, z: Floats, r: Floats) -> None:
+        """Take in an iterate z and its residual r = G(z) - z, both of shape (n,)."""
         if self._z is not None and self._r is not None:
-            self._update(z - self._z, r - self._r)
+            s = z - self._z
+            length = s.dot(s)
+            if length > 0.0:
+                # G moved by s + (r - r_before) while z moved by s.
+                missed = s + (r - self._r) - self.J.dot(s)
+                self.J = self.J + np.outer(missed, s / length)
         self._z, self._r = z.copy(), r.copy()
-        next_z: Floats = z + self.H.dot(r)
-        return next_z
 
-    def _update(self, s: Floats, y: Floats) -> None:
-        """Sherman-Morrison form of the rank-one update for -H ~ (dr/dz)^-1."""
-        h_y = self.H.dot(y)
-        denominator = s.dot(h_y)
-        if abs(denominator) > SMALLEST_DENOMINATOR * s.dot(s):
-            # A new array, so that a copy kept by the caller stays as it was.
-            self.H = self.H - np.outer(s + h_y, s.dot(self.H)) / denominator
+    def step(self) -> Floats:
+        """The next iterate, shape (n,), from the last one learnt."""
+        if self._z is None or self._r is None:
+            raise RuntimeError("nothing learnt yet")
+        _, _, change, info = dgesv(np.eye(len(self._z)) - self.J, self._r)
+        # A singular matrix has no quasi-Newton step; the plain one goes on.
+        found: Floats = self._z + (change if info == 0 else self._r)
+        return found

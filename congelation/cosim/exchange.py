@@ -148,7 +148,8 @@ class Exchange:
                 break
             if self._agree(residual, z, block.wires):
                 return
-            z = method.step(z, residual)
+            method.learn(z, residual)
+            z = method.step()
             self._send(block, z)
         raise RunEnded(
             Status.LOOP_UNSOLVED,

@@ -33,14 +33,21 @@ def test_a_cubic_is_found_from_its_ends(c, h):
     )
 
 
-@given(coefficients, lengths, st.floats(0.1, 5.0))
-def test_a_cubic_is_extrapolated(c, h, ratio):
-    cubic = np.polynomial.Polynomial(c)
-    ahead = ratio * h
-    value, slope = extrapolation(h, ahead) @ ends(cubic, h)
-    scale = np.abs(c) @ np.array([1.0, h, h**2, h**3]) * 300.0 + 1e-300
-    assert value == pytest.approx(cubic(h + ahead), abs=1e-11 * scale)
-    assert slope * h == pytest.approx(cubic.deriv()(h + ahead) * h, abs=1e-11 * scale)
+@given(st.integers(1, 4), st.integers(0, 10**6), st.floats(0.1, 1.5))
+def test_a_polynomial_is_extrapolated_from_values_and_derivatives(count, seed, ahead):
+    """n nodes carry degree 2 n - 1, here against polynomials of that degree with known roots."""
+    generator = np.random.default_rng(seed)
+    polynomial = np.polynomial.Polynomial(generator.normal(size=2 * count))
+    nodes = -np.arange(count)[::-1] - 0.3 * generator.random(count)
+    data = np.concatenate([polynomial(nodes), polynomial.deriv()(nodes)])
+    value, slope = extrapolation(nodes.tolist(), ahead) @ data
+    scale = 1e-10 * np.abs(extrapolation(nodes.tolist(), ahead)).max() * np.abs(data).max()
+    assert value == pytest.approx(polynomial(ahead), abs=scale)
+    assert slope == pytest.approx(polynomial.deriv()(ahead), abs=scale)
+
+
+def test_one_node_extrapolates_along_its_derivative():
+    assert extrapolation([0.0], 0.25).tolist() == [[1.0, 0.25], [0.0, 1.0]]
 
 
 @given(coefficients, st.floats(-1.0, 1.0))
@@ -75,21 +82,35 @@ def test_broyden_solves_affine_problems_in_twice_their_size(seed, size, gain):
     solution = np.linalg.solve(np.eye(size) - A, b)
     z, method = np.zeros(size), Broyden(size)
     for _ in range(2 * size + 1):
-        z = method.step(z, A @ z + b - z)
+        method.learn(z, A @ z + b - z)
+        z = method.step()
     condition = np.linalg.cond(np.eye(size) - A) * (1.0 + gain)
     assert z == pytest.approx(solution, abs=1e-9 * condition * (1.0 + np.abs(solution).max()))
 
 
+def after(method, z):
+    """The iterate after z for G(z) = 12 - 5 z, whose fixed point is 2."""
+    method.learn(np.array([z]), np.array([12.0 - 5.0 * z - z]))
+    return method.step().item()
+
+
 def test_broyden_begins_with_the_plain_iteration_and_keeps_what_it_learnt():
     method = Broyden(1)
-    g = lambda z: -5.0 * z + 12.0  # noqa: E731  # a formula
-    first = method.step(np.zeros(1), g(np.zeros(1)))
-    assert first == g(0.0)
-    assert method.step(first, g(first) - first) == pytest.approx(2.0)
+    assert after(method, 0.0) == 12.0
+    assert after(method, 12.0) == pytest.approx(2.0)
     method.restart()
-    assert method.step(np.ones(1), g(np.ones(1)) - 1.0) == pytest.approx(2.0)
-    method.forget()
-    assert method.step(np.ones(1), g(np.ones(1)) - 1.0) == g(1.0)
+    assert after(method, 1.0) == pytest.approx(2.0)
+    method.restart()
+    method.rescale(0.0)
+    assert after(method, 1.0) == 7.0
+
+
+def test_broyden_falls_back_to_the_plain_step_where_the_jacobian_is_singular():
+    """G(z) = z + 1 has no fixed point."""
+    method = Broyden(1)
+    for z in (0.0, 1.0):
+        method.learn(np.array([z]), np.array([1.0]))
+    assert method.step().tolist() == [2.0]
 
 
 @given(st.dictionaries(st.integers(0, 8), st.sets(st.integers(0, 8))))

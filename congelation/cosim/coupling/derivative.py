@@ -98,7 +98,7 @@ class _DerivativeStepper(AdaptiveStepper):
         self._calls_per_sweep = (
             sum(ensemble.write_calls) + len(ensemble.slaves) + sum(ensemble.read_calls)
         )
-        self._length = self._error = 0.0
+        self._error = 0.0
         self.sweeps = 0
         self.estimated_error = 0.0
 
@@ -119,7 +119,7 @@ class _DerivativeStepper(AdaptiveStepper):
 
     def _step(self, time: float, end: float) -> None:
         ensemble, ends = self._ensemble, self._ends
-        length = self._length = end - time
+        length = end - time
         ends.open(end)
         ensemble.C[:2] = ends.w[:2]
         ensemble.C[2:] = 0.0
@@ -153,7 +153,7 @@ class _DerivativeStepper(AdaptiveStepper):
             self._error = float((distance / (self._ensemble.nominal + np.abs(ends.new[0]))).max())
 
     def accept(self) -> None:
-        self._ends.close(self._length)
+        self._ends.close()
         self._is_saved = False
         self.estimated_error = max(self.estimated_error, self._error)
         if self._ensemble.system.discrete_links:

@@ -16,8 +16,12 @@ __all__ = ["Ends"]
 Floats = npt.NDArray[np.float64]
 
 LONGEST_EXTRAPOLATION = 20.0
-"""A cubic is not extrapolated over more than this many times the step that it comes from:
-rounding errors would grow with the third power of the ratio."""
+"""A polynomial is not extrapolated over more than this many times the step that it comes from:
+errors of its data would grow with a power of the ratio."""
+
+MOST_NODES = 3
+"""Values and derivatives at so many past points give a quintic; each further one would multiply
+the errors of the data by four or more."""
 
 
 class Ends:
@@ -38,20 +42,21 @@ class Ends:
         self._nominal = ensemble.nominal
         self._inexact = np.flatnonzero(ensemble.source_derivative == NO_DERIVATIVE)
         self._history = History(len(self._inexact))
-        self._before: Floats = np.zeros((4, count))
-        self._length_before = 0.0
+        # Values, then derivatives, at the last points, the newest last.
+        self._past: Floats = np.zeros((2, 0, count))
+        self._times: list[float] = []
         self._end = 0.0
         self.w: Floats = np.zeros((4, count))
         self.new: Floats = np.zeros((2, count))
 
     def start(self, time: float) -> None:
         """Begin at `time`, where outputs and inputs agree; what was before is forgotten."""
-        self._length_before = 0.0
         self._Y.take(self._places, out=self.new, mode="clip")
         if self._inexact.size:
             self._history.restart(time, self.new[0, self._inexact])
             self.new[1, self._inexact] = 0.0
         self.w[:2] = self.new
+        self._past, self._times = self.new[:, None].copy(), [time]
 
     def open(self, end: float) -> None:
         """Turn to a step that ends at `end`."""
@@ -68,44 +73,45 @@ class Ends:
             self.w[1, self._inexact] = at_start
             self.new[1, self._inexact] = at_end
 
-    def extrapolates(self, length: float) -> bool:
-        """Whether the step before gives a cubic to extrapolate over a step of `length`."""
-        return 0.0 < length <= LONGEST_EXTRAPOLATION * self._length_before
-
-    def predict(self, length: float) -> None:
-        """Fill in v1, d1 of a step of `length` ahead of it."""
-        w = self.w
-        if self.extrapolates(length):
-            np.dot(extrapolation(self._length_before, length), self._before, out=w[2:])
-        else:
-            np.multiply(w[1], length, out=w[2])
-            w[2] += w[0]
-            w[3] = w[1]
+    def predict(self) -> None:
+        """Fill in v1, d1 ahead of the step, from as many past points as are useful."""
+        self.w[2:] = self._extrapolated(MOST_NODES)
         if self._inexact.size:
-            w[2:, self._inexact] = self._history.predict(self._end)
+            self.w[2:, self._inexact] = self._history.predict(self._end)
 
-    def close(self, length: float) -> None:
-        """The step of `length` is kept: its end, as last read, is the start of the next."""
+    def _far_enough(self) -> list[int]:
+        """Places of the past points, the newest apart, that are not too near to it."""
+        *times, now = self._times
+        least = (self._end - now) / LONGEST_EXTRAPOLATION
+        return [k for k, t in enumerate(times) if now - t >= least]
+
+    def _extrapolated(self, most: int) -> Floats:
+        """Value and derivative at the end of the step, shape (2, L), from at most so many nodes."""
+        newest = len(self._times) - 1
+        places = [*self._far_enough()[-(most - 1) :], newest]
+        now = self._times[newest]
+        nodes = [self._times[k] - now for k in places]
+        data = self._past[:, places].reshape(2 * len(places), -1)
+        found: Floats = extrapolation(nodes, self._end - now).dot(data)
+        return found
+
+    def close(self) -> None:
+        """The step is kept: its end, as last read, is the start of the next."""
         self.w[2:] = self.new
-        self._before[:] = self.w
-        self._length_before = length
         self.w[:2] = self.new
+        self._times = [*self._times, self._end][-MOST_NODES:]
+        self._past = np.concatenate([self._past, self.new[:, None]], axis=1)[:, -MOST_NODES:]
         if self._inexact.size:
             self._history.add(self._end, self.new[0, self._inexact])
 
-    def defect(self, predicted: Floats, length: float) -> float:
+    def defect(self) -> float:
         """Estimated largest distance of a link's cubic from its value, over the step.
 
         The cubic interpolates value and derivative at both ends, so it is off by
-        f''''/24 s^2 (h - s)^2, at most f''''/24 (h/2)^4. With a step before, whose cubic
-        extrapolated to this one's end missed it by f''''/24 h^2 (h + h_before)^2, that gives
-        f''''. Without one, the cubic's own third-order term is taken for the error: it is that of
-        the quadratic through v0, d0, v1.
-
-        Parameters
-        ----------
-        predicted : array, shape (2, L)
-            What `predict` gave.
+        f/24 s^2 (h - s)^2, at most f/24 (h/2)^4. With a point before, a distance g back,
+        the cubic through that and the start, extrapolated to the end, misses by
+        f/24 h^2 (h + g)^2, which gives f. Without one, the cubic's own third-order term is
+        taken for the error: it is that of the quadratic through v0, d0, v1.
 
         Returns
         -------
@@ -114,10 +120,13 @@ class Ends:
         """
         if not self.new.size:
             return 0.0
-        w, new, h = self.w, self.new, length
-        if self.extrapolates(h):
-            both = h + self._length_before
-            miss = np.abs(new - predicted)
+        w, new = self.w, self.new
+        now = self._times[-1]
+        h = self._end - now
+        before = self._far_enough()
+        if before:
+            both = self._end - self._times[before[-1]]
+            miss = np.abs(new - self._extrapolated(2))
             # The same fourth divided difference from the value and from the derivative.
             miss[0] /= (h * both) ** 2
             miss[1] /= 2.0 * h * both * (h + both)

@@ -9,13 +9,14 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.broyden import Broyden
 from congelation.cosim.coupling.base import AdaptiveStepper, Coupling
 from congelation.cosim.coupling.ends import Ends
+from congelation.cosim.coupling.feedback import Feedback
 from congelation.cosim.coupling.polynomial import hermite
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.result import RunEnded, Status
+from congelation.cosim.slave import StepDiscarded
 from congelation.cosim.states import Checkpoint
 from congelation.errors import InvalidInput
 
@@ -25,7 +26,7 @@ Floats = npt.NDArray[np.float64]
 
 ACCELERATIONS = ("broyden", "none")
 
-SHARE_OF_TOLERANCE = 0.1
+SHARE_OF_TOLERANCE = 0.3
 """Of a step's error tolerance, the part left to unfinished sweeps."""
 
 FIRST_CHANGE = 3e-2
@@ -113,9 +114,8 @@ class _HermiteStepper(AdaptiveStepper):
         self._checkpoint = checkpoint
         self._is_saved = False
         self._ends = Ends(ensemble)
+        self._feedback = Feedback(ensemble, self._ends, coupling.acceleration == "broyden")
         links = ensemble.links
-        # Fed back: the source steps after the target, or is the target.
-        self._back = np.flatnonzero([link.source >= link.target for link in links])
         self._forward = [
             np.array([link.source == m < link.target for link in links], bool)
             for m in range(len(ensemble.slaves))
@@ -124,14 +124,10 @@ class _HermiteStepper(AdaptiveStepper):
         self._low = [np.flatnonzero(ensemble.order == order) for order in range(3)]
         self._is_low = any(part.size for part in self._low)
         self._held = [bool((ensemble.order[part] == 0).any()) for part in ensemble.columns]
-        self._method = Broyden(2 * self._back.size)
-        self._H_before = self._method.H
-        self._predicted: Floats = np.zeros((2, len(links)))
         self._calls_per_sweep = (
             sum(ensemble.write_calls) + len(ensemble.slaves) + sum(ensemble.read_calls)
         ) + 2 * sum(self._held)
-        self._length = self._error = 0.0
-        self._worst = 0
+        self._error = 0.0
         self.sweeps = 0
         self.estimated_error = 0.0
 
@@ -141,11 +137,10 @@ class _HermiteStepper(AdaptiveStepper):
 
     def advance(self, time: float, end: float) -> None:
         if not math.isfinite(self.attempt(time, end)):
-            name = self._ensemble.links[self._worst].name
             raise RunEnded(
                 Status.NOT_CONVERGED,
-                f"the step from t = {time:.9g} to {end:.9g}: sweeps left the connection {name} "
-                f"changing (at most {self._coupling.max_sweeps} are made)",
+                f"the step from t = {time:.9g} to {end:.9g}: sweeps left the connection "
+                f"{self._feedback.worst()} changing (at most {self._coupling.max_sweeps} are made)",
             )
         self.accept()
 
@@ -153,25 +148,40 @@ class _HermiteStepper(AdaptiveStepper):
         if self._checkpoint is not None and not self._is_saved:
             self._checkpoint.save()
             self._is_saved = True
-        self._H_before = self._method.H
-        self._method.restart()
-        length = self._length = end - time
-        ends = self._ends
-        ends.open(end)
-        ends.predict(length)
-        self._predicted[:] = ends.w[2:]
-        polynomial = hermite(length)
-        self._error = math.inf
-        for count in range(1, (self._coupling.sweeps or self._coupling.max_sweeps) + 1):
+        length = end - time
+        self._ends.open(end)
+        self._ends.predict()
+        self._feedback.open(length)
+        converged = self._sweeps(time, length, hermite(length))
+        self._error = self._ends.defect() if converged else math.inf
+        return self._error
+
+    def _sweeps(self, time: float, length: float, polynomial: Floats) -> bool:
+        """Sweep until the ends that are fed back settle; whether they did."""
+        wanted, most = self._coupling.sweeps, self._coupling.max_sweeps
+        for count in range(1, (wanted or most) + 1):
             if count > 1 and self._checkpoint is not None:
                 self._checkpoint.restore()
-            self._sweep(time, length, polynomial)
-            if not self._is_finite(end, count):
-                break
-            if self._settled(length, count):
-                self._error = ends.defect(self._predicted, length)
-                break
-        return self._error
+            try:
+                self._sweep(time, length, polynomial)
+            except StepDiscarded:
+                # Not by the step itself, which the first sweep could make, but by where later
+                # sweeps have led.
+                if count == 1:
+                    raise
+                return False
+            change = self._feedback.change()
+            if not math.isfinite(change):
+                if count == 1:
+                    self._ensemble.check(time + length)
+                return False
+            if wanted is not None:
+                self._feedback.take_over()
+            elif change <= self._accuracy:
+                return True
+            else:
+                self._feedback.improve()
+        return wanted is not None
 
     def _sweep(self, time: float, length: float, polynomial: Floats) -> None:
         """All slaves once over the step, with the inputs' ends as they are known by now."""
@@ -189,18 +199,6 @@ class _HermiteStepper(AdaptiveStepper):
             if self._feeds[m]:
                 np.copyto(ends.w[2:], ends.new, where=self._forward[m])
         self.sweeps += 1
-
-    def _is_finite(self, end: float, count: int) -> bool:
-        """Whether the values can be gone on with; if the first sweep already spoilt them, the run
-        is over, while later ones have only failed to converge.
-        """
-        try:
-            self._ensemble.check(end)
-        except RunEnded:
-            if count == 1:
-                raise
-            return False
-        return True
 
     def _lower(self, length: float) -> None:
         """Polynomials for inputs that take fewer than three derivatives."""
@@ -220,37 +218,15 @@ class _HermiteStepper(AdaptiveStepper):
         ensemble.write[m]()
         ensemble.read[m]()
 
-    def _settled(self, length: float, count: int) -> bool:
-        """Whether the ends agree with what the sweep made of them; if not, new ends are set."""
-        back, ends = self._back, self._ends
-        if not back.size:
-            return True
-        z, g = ends.w[2:, back], ends.new[:, back]
-        scale = self._ensemble.nominal[back] + np.abs(ends.w[0, back])
-        scales = np.vstack([scale, scale / length])
-        residual = (g - z) / scales
-        size = np.abs(residual)
-        if self._coupling.sweeps is not None:
-            ends.w[2:, back] = g
-            return count == self._coupling.sweeps
-        if size.max() <= self._accuracy:
-            return True
-        self._worst = int(back[size.max(axis=0).argmax()])
-        if self._coupling.acceleration == "broyden":
-            step = self._method.step((z / scales).ravel(), residual.ravel())
-            g = step.reshape(2, -1) * scales
-        ends.w[2:, back] = g
-        return False
-
     def accept(self) -> None:
-        self._ends.close(self._length)
+        self._ends.close()
         self._is_saved = False
         self.estimated_error = max(self.estimated_error, self._error)
         if self._ensemble.system.discrete_links:
             self._ensemble.copy_discrete()
 
     def reject(self) -> None:
-        self._method.H = self._H_before
+        self._feedback.undo()
         if self._checkpoint is not None:
             self._checkpoint.restore()
 

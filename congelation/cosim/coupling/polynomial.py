@@ -7,6 +7,8 @@ matrix of a few entries times an array of shape (4, L).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import numpy.typing as npt
 
@@ -35,14 +37,35 @@ def hermite(h: float) -> Floats:
     )
 
 
-def extrapolation(h: float, ahead: float) -> Floats:
-    """From (v0, d0, v1, d1) on [t, t + h] to value and derivative of their cubic at
-    t + h + ahead.
+def extrapolation(nodes: Sequence[float], at: float) -> Floats:
+    """Value and derivative at one point of the polynomial with given values and derivatives at
+    n nodes, of degree 2 n - 1.
+
+    With the Lagrange polynomials l_i of the nodes, the polynomial is the sum over i of
+    v_i (1 - 2 l_i'(x_i) (x - x_i)) l_i^2 + d_i (x - x_i) l_i^2.
+
+    Parameters
+    ----------
+    nodes : sequence of float
+        Distinct.
 
     Returns
     -------
-    array, shape (2, 4)
+    array, shape (2, 2 n)
+        Its product with (v_1 .. v_n, d_1 .. d_n) is (value, derivative) at `at`.
     """
-    s = h + ahead
-    taylor = np.array([[1.0, s, s**2 / 2.0, s**3 / 6.0], [0.0, 1.0, s, s**2 / 2.0]])
-    return taylor @ hermite(h)
+    n = len(nodes)
+    weights = np.empty((2, 2 * n))
+    for i, x in enumerate(nodes):
+        others = [node for node in nodes if node != x]
+        lagrange, slope, own_slope = 1.0, 0.0, 0.0
+        for node in others:
+            factor = (at - node) / (x - node)
+            slope = slope * factor + lagrange / (x - node)
+            lagrange *= factor
+            own_slope += 1.0 / (x - node)
+        square, square_slope = lagrange**2, 2.0 * lagrange * slope
+        tilt = 1.0 - 2.0 * own_slope * (at - x)
+        weights[:, i] = tilt * square, tilt * square_slope - 2.0 * own_slope * square
+        weights[:, n + i] = (at - x) * square, (at - x) * square_slope + square
+    return weights

@@ -20,7 +20,7 @@ class TestController(Block):
     def outputs(self, t, x, u, du):
         k, d, c = (self.values[name] for name in "kdc")
         return {
-            "u": -k * u["x[1]"] - d * u["x[2]"] - 0.5 * x["q"] - c * u["x[1]"] ** 3,
-            "der(u)": -(k + 3 * c * u["x[1]"] ** 2) * du["x[1]"] - d * du["x[2]"] - 0.5 * u["x[1]"],
+            "u": -k * u["x[1]"] - d * u["x[2]"] - 0.5 * x["q"] - c * u["x[1]"] * u["x[1]"] * u["x[1]"],
+            "der(u)": -(k + 3 * c * u["x[1]"] * u["x[1]"]) * du["x[1]"] - d * du["x[2]"] - 0.5 * u["x[1]"],
             "q": x["q"],
         }
