@@ -18,7 +18,7 @@ from congelation.export.validation import validate
 
 ROOT = Path(__file__).resolve().parent
 # The FMUs of the contract, one spec for each form.
-STANDARD = ("scalar", "state_feedback", "output_feedback")
+STANDARD = ("scalar", "matched_pendulum", "state_feedback", "output_feedback")
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -7,6 +7,7 @@ import sys
 from pythonfmu.enums import Fmi2Status
 
 from . import interface, snapshot
+from .exit_guard import guard
 from .integrator import integrate
 from .parameters import ParameterError, bind
 from .variables import VariableTable
@@ -38,6 +39,7 @@ class Block(VariableTable):
 
     def __init__(self, **kwargs):
         super().__init__(**kwargs)
+        guard(self.resources)
         # The wrapper puts the resources on sys.path once for every instance; once is enough.
         if sys.path.count(self.resources) > 1:
             sys.path.remove(self.resources)

@@ -9,6 +9,8 @@ from tests.fmus.instance import FMUS
 NAMES = (
     "ScalarPlant",
     "ScalarController",
+    "MatchedPlant",
+    "MatchedController",
     "StrictFeedbackPlant",
     "StateFeedbackController",
     "ObserverFormPlant",

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.fmus.instance import DISCARD, loaded
+from tests.fmus.instance import DISCARD, FMUS, loaded
 
 ROOT = Path(__file__).resolve().parents[2]
 H = 0.05
@@ -107,3 +107,20 @@ def test_damaged_bytes_are_refused(fmu, damage):
         assert instance.step(3 * H, H) == 0
         for handle_ in (handle, state):
             instance.slave.freeFMUstate(handle_)
+
+
+def test_exit_of_the_host():
+    """A host that has restored a state ends well; without the exit guard one in seven aborts."""
+    fmu = FMUS / "MatchedPlant.fmu"
+    with loaded(fmu) as (instance,):
+        instance.start()
+        run(instance, 0, 30)
+        state = instance.slave.getFMUstate()
+        data = bytes(instance.slave.serializeFMUstate(state))
+        instance.slave.freeFMUstate(state)
+    script = REPLAY.format(root=str(ROOT), fmu=str(fmu), state=data.hex())
+    codes = [
+        subprocess.run([sys.executable, "-c", script], capture_output=True).returncode
+        for _ in range(20)
+    ]
+    assert codes == [0] * 20
