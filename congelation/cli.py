@@ -24,6 +24,7 @@ from congelation.errors import CongelationError, InvalidInput
 from congelation.report.figures import draw, figure_names, save
 from congelation.report.html import write_html
 from congelation.report.summary import summarise
+from congelation.study.batch import Plan, plan_sweep, run_sweep
 from congelation.study.run import run_scenario
 from congelation.study.scenario import Scenario
 from congelation.study.scenario_file import load_scenario
@@ -106,6 +107,37 @@ def run(
 
 
 @app.command()
+def sweep(
+    scenario: Annotated[Path, typer.Argument(help="Scenario file (.toml).", show_default=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Result directory.", show_default="results/<scenario>", metavar="DIR"),
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Do what is missing in the result directory.")
+    ] = False,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Say how many runs there are, and stop.")
+    ] = False,
+) -> None:
+    """Run all variants at every point of the scenario's sweep, in worker processes."""
+    folder = out if out is not None else Path("results") / scenario.stem
+    plan = plan_sweep(load_scenario(scenario), folder, resume=resume or dry_run)
+    print(f"{len(plan.run_ids)} runs, {len(plan.missing)} of them to do in {folder}")
+    if dry_run:
+        return
+    try:
+        store = _sweep_with_progress(plan, workers)
+    except KeyboardInterrupt as error:
+        done = len(plan.shared.store.finished())
+        _complain(f"interrupted after {done} of {len(plan.run_ids)} runs; go on with --resume")
+        raise typer.Exit(INTERRUPTED) from error
+    _print_summary(store)
+    print(store.index)
+
+
+@app.command()
 def report(
     folder: Annotated[
         Path, typer.Argument(metavar="DIR", help="Result directory.", show_default=False)
@@ -121,6 +153,23 @@ def report(
     if html is not None:
         write_html(store, html)
         print(html)
+
+
+def _sweep_with_progress(plan: Plan, workers: int) -> Store:
+    columns = (
+        TextColumn("{task.completed} of {task.total} runs, {task.fields[failed]} failed"),
+        BarColumn(),
+        TaskProgressColumn(show_speed=True),
+        TimeRemainingColumn(elapsed_when_finished=True),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        done = len(plan.run_ids) - len(plan.missing)
+        task = bar.add_task("", total=len(plan.run_ids), completed=done, failed=0)
+        return run_sweep(
+            plan,
+            workers=workers,
+            progress=lambda done, failed: bar.update(task, completed=done, failed=failed),
+        )
 
 
 def _run_with_progress(scenario: Scenario, folder: Path, verify: bool) -> Store:

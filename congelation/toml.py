@@ -148,6 +148,24 @@ class Section:
             raise self.wrong(key, "a positive number")
         return value
 
+    def integer(self, key: str, default: int | None = None) -> int:
+        """The whole number under `key`, or `default`; an error if neither is given."""
+        if key not in self.data and default is not None:
+            return default
+        if key not in self.data:
+            raise self.error(key, "is missing; give a whole number")
+        value = self.data[key]
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise self.wrong(key, "a whole number")
+        return value
+
+    def boolean(self, key: str, default: bool) -> bool:
+        """The truth value under `key`, or `default`."""
+        value = self.data.get(key, default)
+        if not isinstance(value, bool):
+            raise self.wrong(key, "true or false")
+        return value
+
     def attempt(self, key: str, action: Callable[[], T]) -> T:
         """The result of `action`; what it says of bad input gets this key's file and path."""
         try:

@@ -92,8 +92,9 @@ class _Curve:
 
 
 def figure_names(store: Store) -> tuple[str, ...]:
-    """The names of the figures that the stored study defines."""
-    return tuple(str(figure["name"]) for figure in store.read().about["figures"])
+    """The names of the figures that the stored study defines; a sweep has none of its runs."""
+    about = store.read().about
+    return () if "sweep" in about else tuple(str(figure["name"]) for figure in about["figures"])
 
 
 def draw(store: Store, name: str) -> Figure:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from congelation.study.store import Study
 
 __all__ = ["Summary", "metric_definitions", "number", "summarise"]
+
+
+_QUANTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
 
 
 @dataclass(frozen=True)
@@ -21,11 +26,35 @@ class Summary:
 
 
 def summarise(study: Study) -> Summary:
-    """Settings, status, metrics and cost of every run."""
+    """Settings, status, metrics and cost of every run; of a sweep, quantiles by variant."""
+    if "sweep" in study.about:
+        return _summarise_sweep(study)
     return Summary(
         tuple(str(row["variant"]) for row in study.rows),
         tuple((label, tuple(cells)) for label, cells in _lines(study)),
     )
+
+
+def _summarise_sweep(study: Study) -> Summary:
+    groups: dict[str, list[dict[str, Any]]] = {}
+    for row in study.rows:
+        groups.setdefault(str(row["variant"]), []).append(row)
+    statuses = dict.fromkeys(str(row["status"]) for row in study.rows)
+    lines = [("runs", [str(len(rows)) for rows in groups.values()])]
+    for status in statuses:
+        counts = [sum(row["status"] == status for row in rows) for rows in groups.values()]
+        lines.append((status, [str(count) for count in counts]))
+    for name, about in study.about["metrics"].items():
+        for text, q in _QUANTILES.items():
+            cells = [_quantile([row[name] for row in rows], q) for rows in groups.values()]
+            lines.append((f"{_label(name, about)}, {text}", cells))
+    return Summary(tuple(groups), tuple((label, tuple(cells)) for label, cells in lines))
+
+
+def _quantile(values: Sequence[float | None], q: float) -> str:
+    """A quantile of the known values; always one of them, so that inf does no harm."""
+    known = [value for value in values if value is not None and not math.isnan(value)]
+    return number(float(np.quantile(known, q, method="inverted_cdf"))) if known else number(None)
 
 
 def metric_definitions(study: Study) -> tuple[tuple[str, str], ...]:

@@ -1,80 +1,29 @@
-"""Runs: each variant of a scenario simulated, and kept as a row and a trajectory."""
+"""One run: simulated, measured, kept as a row and a trajectory; and all variants of a scenario."""
 
 from __future__ import annotations
 
-import platform
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
-from congelation.cosim.description import Description, describe
+from congelation.cosim.description import describe
 from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.result import Result, Status
 from congelation.errors import InvalidInput
 from congelation.study.interrupt import deferred_interrupts
-from congelation.study.scenario import EXPERIMENT, Case, MetricSpec, Scenario, Variant
-from congelation.study.start_values import Scalar
-from congelation.study.store import Store, Trajectory, code_version, content_hash, file_hash
+from congelation.study.metrics import metric
+from congelation.study.plan import Run, plan_runs, varied_settings
+from congelation.study.provenance import about
+from congelation.study.scenario import MetricSpec, Scenario
+from congelation.study.store import Store, Trajectory, code_version
 from congelation.study.verify import Reference, compare, reference
 
-__all__ = ["Run", "about", "execute", "plan_runs", "run_scenario"]
+__all__ = ["execute", "lost_row", "run_scenario"]
 
 Progress = Callable[[float], None]
-
-_PACKAGES = ("fmpy", "pythonfmu", "numpy", "scipy", "pyarrow")
-
-
-@dataclass(frozen=True)
-class Run:
-    """One simulation to do; equal content has an equal `run_id`."""
-
-    run_id: str
-    variant: str
-    settings: Mapping[str, Scalar | None]
-    case: Case
-
-
-def plan_runs(scenario: Scenario) -> tuple[Run, ...]:
-    """One run per variant, each with the value of every setting that any variant changes."""
-    varied = tuple(dict.fromkeys(name for v in scenario.variants for name in v.settings))
-    return tuple(_run(scenario, variant, varied) for variant in scenario.variants)
-
-
-def _run(scenario: Scenario, variant: Variant, varied: Sequence[str]) -> Run:
-    case = scenario.case(variant.settings)
-    content = {
-        "variant": variant.name,
-        "components": [
-            [c.name, describe(c.fmu).sha256, {k: _content(v) for k, v in c.start.items()}]
-            for c in case.system.components
-        ],
-        "connections": [str(connection) for connection in case.system.connections],
-        "experiment": asdict(case.experiment),
-        "metrics": [[m.name, m.metric.name, m.of, dict(m.options)] for m in scenario.metrics],
-        "code": code_version(),
-    }
-    settings = {name: _setting(case, name) for name in varied}
-    return Run(content_hash(content), variant.name, settings, case)
-
-
-def _content(value: object) -> object:
-    """A start value as content; of a file that one names, what is in it."""
-    if isinstance(value, str) and Path(value).is_file():
-        return file_hash(Path(value))
-    return value
-
-
-def _setting(case: Case, name: str) -> Scalar | None:
-    """The value of ``owner.key`` in a case; None for a start value left to the FMU."""
-    owner, _, key = name.partition(".")
-    if owner == EXPERIMENT:
-        return cast(Scalar, getattr(case.experiment, key))
-    component = next(c for c in case.system.components if c.name == owner)
-    return cast(Scalar | None, component.start.get(key))  # a scenario's start values are flat
 
 
 def execute(
@@ -114,34 +63,54 @@ def execute(
         progress=progress,
         pool=pool,
     )
-    descriptions = {c.name: describe(c.fmu) for c in run.case.system.components}
-    row = {
+    metrics = {spec.name: _measure(spec, result) for spec in scenario.metrics}
+    steps, wall_time = result.statistics.macro_steps, result.statistics.wall_time
+    row = _row(run, result.status.name, result.message, metrics, steps, wall_time)
+    units = {column: _unit(run, column) for column in result.columns}
+    return row, Trajectory(result.time, result.columns, result.values, units)
+
+
+def lost_row(run: Run, scenario: Scenario, status: str, message: str) -> dict[str, Any]:
+    """The row of a run that has no result: refused, or lost with its process."""
+    return _row(run, status, message, dict.fromkeys(m.name for m in scenario.metrics), None, None)
+
+
+def _row(
+    run: Run,
+    status: str,
+    message: str,
+    metrics: Mapping[str, float | None],
+    macro_steps: int | None,
+    wall_time: float | None,
+) -> dict[str, Any]:
+    return {
         "run_id": run.run_id,
         "variant": run.variant,
         **run.settings,
-        "status": result.status.name,
-        "message": result.message,
-        **{spec.name: _measure(spec, result) for spec in scenario.metrics},
-        "macro_steps": result.statistics.macro_steps,
-        "wall_time": result.statistics.wall_time,
-        **{f"{name}.sha256": found.sha256 for name, found in descriptions.items()},
-        "seed": None,
+        "status": status,
+        "message": message,
+        **metrics,
+        "macro_steps": macro_steps,
+        "wall_time": wall_time,
+        **{f"{c.name}.sha256": describe(c.fmu).sha256 for c in run.case.system.components},
+        "seed": run.seed,
         "code_version": code_version(),
     }
-    units = {column: _unit(descriptions, column) for column in result.columns}
-    return row, Trajectory(result.time, result.columns, result.values, units)
 
 
 def _measure(spec: MetricSpec, result: Result) -> float | None:
     if not result.completed:
         return None  # a metric of half a run would pass for one of a whole run
     values = result.column(spec.of)
-    return spec.metric.evaluate(result.time, values.reshape(len(values), -1), **spec.options)
+    return metric(spec.metric).evaluate(
+        result.time, values.reshape(len(values), -1), **spec.options
+    )
 
 
-def _unit(descriptions: Mapping[str, Description], column: str) -> str:
-    component, _, variable = column.partition(".")
-    return descriptions[component].variables[variable].unit
+def _unit(run: Run, column: str) -> str:
+    name, _, variable = column.partition(".")
+    component = next(c for c in run.case.system.components if c.name == name)
+    return describe(component.fmu).variables[variable].unit
 
 
 def run_scenario(
@@ -170,7 +139,8 @@ def run_scenario(
     """
     store = Store(folder)
     store.create()
-    runs = plan_runs(scenario)
+    earlier = store.replaceable()
+    runs = tuple(plan_runs(scenario))
     references = {run.run_id: _reference(scenario, run) for run in runs} if verify else {}
     verification: dict[str, list[dict[str, Any]]] = {}
     with SlavePool() as pool, deferred_interrupts() as check:
@@ -181,8 +151,10 @@ def run_scenario(
             if verify and row["status"] == Status.COMPLETED.name:
                 deviations = compare(references[run.run_id], trajectory)
                 verification[run.run_id] = [asdict(deviation) for deviation in deviations]
-    described = {**about(scenario, runs), "verification": verification}
-    store.compact([run.run_id for run in runs], described)
+    described = about(scenario, varied_settings(scenario))
+    run_ids = [run.run_id for run in runs]
+    store.compact(run_ids, {**described, "verification": verification})
+    store.remove(earlier.difference(run_ids))
     return store
 
 
@@ -199,41 +171,3 @@ def _reference(scenario: Scenario, run: Run) -> Reference:
         return reference(run.case)
     except InvalidInput as error:
         raise InvalidInput(f"{scenario.file}: {run.variant}: {error}") from error
-
-
-def about(scenario: Scenario, runs: Sequence[Run]) -> dict[str, Any]:
-    """What is kept with the rows of a study: where they come from and how to read them."""
-    descriptions = {c.name: describe(c.fmu) for c in scenario.system.components}
-    return {
-        "title": scenario.title,
-        "scenario_file": scenario.file.name,
-        "scenario": scenario.text,
-        "varied": list(dict.fromkeys(name for run in runs for name in run.settings)),
-        "metrics": {spec.name: _about_metric(spec, descriptions) for spec in scenario.metrics},
-        "figures": [asdict(figure) for figure in scenario.figures],
-        "fmus": {
-            name: {"file": found.path.name, "sha256": found.sha256}
-            for name, found in descriptions.items()
-        },
-        "versions": _versions(),
-    }
-
-
-def _about_metric(spec: MetricSpec, descriptions: Mapping[str, Description]) -> dict[str, Any]:
-    component, _, name = spec.of.partition(".")
-    variables = descriptions[component].variables.values()
-    group = {v.unit for v in variables if v.name == name or v.name.startswith(f"{name}[")}
-    return {
-        "metric": spec.metric.name,
-        "of": spec.of,
-        "options": dict(spec.options),
-        "definition": spec.metric.definition,
-        "unit": spec.metric.unit(group.pop() if len(group) == 1 else ""),
-    }
-
-
-def _versions() -> dict[str, str]:
-    versions = {"congelation": code_version(), "Python": platform.python_version()}
-    for package in _PACKAGES:
-        versions[package] = version(package)
-    return {**versions, "platform": platform.platform()}

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from congelation.cosim.coupling import make_coupling
 from congelation.cosim.system import System
-from congelation.study.metrics import Metric
 from congelation.study.start_values import Scalar
+from congelation.study.sweep import Sweep
 from congelation.toml import Section
 
 __all__ = [
@@ -65,7 +65,7 @@ class MetricSpec:
     """A metric of a group of variables, under the name of its column."""
 
     name: str
-    metric: Metric
+    metric: str
     of: str
     options: Mapping[str, float]
 
@@ -123,6 +123,8 @@ class Scenario:
         metrics and figures need as well.
     metrics, figures, variants : tuple
         A scenario without variants has one, named after the file.
+    sweep : Sweep, optional
+        The points at which each variant is run by a sweep.
     """
 
     title: str
@@ -133,6 +135,7 @@ class Scenario:
     metrics: tuple[MetricSpec, ...] = ()
     figures: tuple[FigureSpec, ...] = ()
     variants: tuple[Variant, ...] = ()
+    sweep: Sweep | None = None
 
     def case(self, settings: Mapping[str, Scalar]) -> Case:
         """This scenario with `settings` applied.

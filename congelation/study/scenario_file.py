@@ -17,13 +17,32 @@ from congelation.errors import InvalidInput, nearest
 from congelation.study.metrics import metric
 from congelation.study.scenario import EXPERIMENT, FigureSpec, MetricSpec, Scenario, Variant
 from congelation.study.start_values import Scalar, profile_values, start_values
+from congelation.study.sweep_file import read_sweep
 from congelation.toml import Section, read_document
 
 __all__ = ["load_scenario"]
 
-_KEYS = ("title", "connections", "components", EXPERIMENT, "metrics", "figures", "variants")
+_KEYS = (
+    "title",
+    "connections",
+    "components",
+    EXPERIMENT,
+    "metrics",
+    "figures",
+    "variants",
+    "sweep",
+)
 # Columns that every row has; a metric of the same name would hide one.
-_RESERVED = ("run_id", "variant", "status", "message", "wall_time", "macro_steps", "seed")
+_RESERVED = (
+    "run_id",
+    "variant",
+    "status",
+    "message",
+    "macro_steps",
+    "wall_time",
+    "seed",
+    "code_version",
+)
 _BUILD = "build it with: python build_fmu.py"
 
 
@@ -54,7 +73,11 @@ def load_scenario(file: Path) -> Scenario:
     )
     scenario = replace(scenario, experiment=_with_record(document, scenario))
     scenario.case({})
-    return replace(scenario, variants=_variants(document, scenario))
+    scenario = replace(scenario, variants=_variants(document, scenario))
+    if "sweep" not in document.data:
+        return scenario
+    flatten = partial(_settings, scenario=scenario)
+    return replace(scenario, sweep=read_sweep(document.section("sweep"), flatten))
 
 
 def _component(section: Section, name: str) -> Component:
@@ -98,7 +121,7 @@ def _metric(section: Section, name: str) -> MetricSpec:
     section.only(("metric", "of", *found.options))
     section.require(*(option for option, required in found.options.items() if required))
     options = {key: section.number(key) for key in section.data if key in found.options}
-    return MetricSpec(name, found, section.text("of"), options)
+    return MetricSpec(name, found.name, section.text("of"), options)
 
 
 def _figure(section: Section) -> FigureSpec:
@@ -178,7 +201,7 @@ def _with_record(document: Section, scenario: Scenario) -> dict[str, object]:
     for spec in scenario.metrics:
         section = document.section("metrics").section(spec.name)
         group = section.attempt("of", partial(resolved.recorded, [spec.of]))
-        section.attempt("of", partial(spec.metric.check_size, len(group)))
+        section.attempt("of", partial(metric(spec.metric).check_size, len(group)))
         columns += group
     for figure, section in zip(scenario.figures, document.sections("figures"), strict=True):
         columns += section.attempt("panels", partial(resolved.recorded, figure.variables))

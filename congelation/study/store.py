@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -28,7 +28,20 @@ import pyarrow.parquet as pq
 import congelation
 from congelation.errors import CongelationError, InvalidInput
 
-__all__ = ["Store", "Study", "Trajectory", "code_version", "content_hash", "file_hash"]
+__all__ = [
+    "Store",
+    "StoreError",
+    "Study",
+    "Trajectory",
+    "code_version",
+    "content_hash",
+    "file_hash",
+]
+
+
+class StoreError(CongelationError):
+    """A result that cannot be written; the text names the file and the reason."""
+
 
 Row = Mapping[str, object]
 
@@ -137,29 +150,56 @@ class Store:
                 f"results cannot be written to {self.root}: {error.strerror}"
             ) from error
 
-    def write(self, row: Row, trajectory: Trajectory) -> None:
-        """Store a finished run: its trajectory first, then its row."""
+    def write(self, row: Row, trajectory: Trajectory | None = None) -> None:
+        """Store a finished run: its trajectory first, if it is kept, then its row.
+
+        Raises
+        ------
+        StoreError
+            If a file cannot be written; the run then does not count as finished.
+        """
         run_id = str(row["run_id"])
-        _write_whole(_trajectory_table(trajectory), self.trajectory_file(run_id))
+        if trajectory is not None:
+            _write_whole(_trajectory_table(trajectory), self.trajectory_file(run_id))
         _write_whole(pa.Table.from_pylist([dict(row)]), self.part_file(run_id))
 
     def finished(self) -> set[str]:
-        """The run_ids that have a row."""
-        return {part.stem for part in (self.root / "parts").glob("[!.]*.parquet")}
+        """The run_ids that have a readable row."""
+        parts = (self.root / "parts").glob("[!.]*.parquet")
+        return {part.stem for part in parts if _is_readable(part)}
+
+    def row(self, run_id: str) -> dict[str, Any]:
+        """The row of a finished run."""
+        rows: list[dict[str, Any]] = _read(self.part_file(run_id), "no such run").to_pylist()
+        return rows[0]
 
     def compact(self, run_ids: Sequence[str], about: Mapping[str, object]) -> None:
-        """Write runs.parquet: the rows of `run_ids`, in that order.
-
-        Runs that an earlier runs.parquet of this directory listed and this one does not are
-        removed, so that a directory never mixes two states of a scenario.
-        """
+        """Write runs.parquet: the rows of `run_ids`, in that order."""
         parts = [pq.read_table(self.part_file(run_id)) for run_id in run_ids]
         table = pa.concat_tables(parts, promote_options="permissive")
         metadata = {_METADATA: json.dumps(dict(about)).encode()}
         _write_whole(table.replace_schema_metadata(metadata), self.index)
-        for stale in self.finished() - set(run_ids):
-            self.part_file(stale).unlink(missing_ok=True)
-            self.trajectory_file(stale).unlink(missing_ok=True)
+
+    def replaceable(self) -> set[str]:
+        """The run_ids that runs.parquet lists, which a new state of their scenario replaces.
+
+        Raises
+        ------
+        InvalidInput
+            If they are those of a sweep, which may have taken days.
+        """
+        if not self.index.is_file():
+            return set()
+        study = self.read()
+        if "sweep" in study.about:
+            raise InvalidInput(f"{self.root} holds a sweep; give another directory")
+        return {str(row["run_id"]) for row in study.rows}
+
+    def remove(self, run_ids: Iterable[str]) -> None:
+        """Remove runs."""
+        for run_id in run_ids:
+            self.part_file(run_id).unlink(missing_ok=True)
+            self.trajectory_file(run_id).unlink(missing_ok=True)
 
     def read(self) -> Study:
         """The rows and the study of this directory.
@@ -212,7 +252,7 @@ def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
 
     Raises
     ------
-    CongelationError
+    StoreError
         If the file cannot be written: no space, no permission.
     """
     temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
@@ -221,9 +261,17 @@ def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
         write(temporary)
         temporary.replace(file)
     except OSError as error:
-        raise CongelationError(f"{file} cannot be written: {error}") from error
+        raise StoreError(f"{file} cannot be written: {error}") from error
     finally:
         _discard(temporary)
+
+
+def _is_readable(file: Path) -> bool:
+    try:
+        pq.read_metadata(file)
+    except (OSError, pa.ArrowInvalid):
+        return False
+    return True
 
 
 def _discard(file: Path) -> None:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from congelation.study.run import plan_runs, run_scenario
+from congelation.study.plan import plan_runs
+from congelation.study.run import run_scenario
 from congelation.study.scenario_file import load_scenario
 from congelation.study.store import Store
 from tests.study.scenarios import SCALAR, write
@@ -91,7 +92,7 @@ def test_a_changed_profile_table_is_another_run(tmp_path: Path) -> None:
     for value in ("-3", "-2"):
         (tmp_path / "theta.csv").write_text(f"0,{value}\n")
         file = write(tmp_path, SCALAR, (terms, '[{table = {file = "theta.csv"}}]'))
-        ids += [plan_runs(load_scenario(file))[0].run_id]
+        ids += [next(plan_runs(load_scenario(file))).run_id]
     assert ids[0] != ids[1]
 
 

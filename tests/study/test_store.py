@@ -82,10 +82,21 @@ def test_columns_that_only_some_runs_have_are_empty_in_the_others(store: Store) 
 def test_a_new_state_of_the_scenario_replaces_the_old_one(store: Store) -> None:
     store.write({"run_id": "old"}, trajectory())
     store.compact(["old"], ABOUT)
+    assert store.replaceable() == {"old"}
     store.write({"run_id": "new"}, trajectory())
     store.compact(["new"], ABOUT)
+    assert store.finished() == {"old", "new"}
+    store.remove(["old"])
     assert store.finished() == {"new"}
     assert [file.name for file in store.root.glob("*/*")] == ["new.parquet", "new.parquet"]
+
+
+def test_a_sweep_is_not_replaced(store: Store) -> None:
+    assert store.replaceable() == set()
+    store.write({"run_id": "a"})
+    store.compact(["a"], {**ABOUT, "sweep": {}})
+    with pytest.raises(InvalidInput, match="holds a sweep; give another directory"):
+        store.replaceable()
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:

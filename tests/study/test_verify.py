@@ -12,7 +12,8 @@ import pytest
 
 from congelation.cosim.pool import SlavePool
 from congelation.errors import InvalidInput
-from congelation.study.run import execute, plan_runs, run_scenario
+from congelation.study.plan import plan_runs
+from congelation.study.run import execute, run_scenario
 from congelation.study.scenario_file import load_scenario
 from congelation.study.store import Trajectory
 from congelation.study.verify import LARGEST_DEVIATION, Deviation, compare, reference
@@ -23,7 +24,7 @@ SET_1 = '{"controller.damping" = true}'
 
 def deviations(file: Path, variant: int = 0) -> tuple[Deviation, ...]:
     scenario = load_scenario(file)
-    run = plan_runs(scenario)[variant]
+    run = list(plan_runs(scenario))[variant]
     with SlavePool() as pool:
         row, trajectory = execute(run, scenario, pool)
     assert row["status"] == "COMPLETED", row["message"]
@@ -85,7 +86,7 @@ def test_start_values_offsets_and_start_time_are_those_of_the_run(tmp_path: Path
 
 def test_a_wrong_trajectory_is_told(tmp_path: Path) -> None:
     scenario = load_scenario(write(tmp_path))
-    run = plan_runs(scenario)[0]
+    run = next(plan_runs(scenario))
     with SlavePool() as pool:
         trajectory = execute(run, scenario, pool)[1]
     values = trajectory.values.copy()
@@ -103,7 +104,7 @@ def test_a_variable_that_stays_at_zero_has_no_relative_error(tmp_path: Path) -> 
     scenario = load_scenario(tmp_path / "loop.toml")
     zero = np.zeros((2, 1))
     trajectory = Trajectory(np.array([0.0, 1.0]), ("plant.x",), zero + 1e-3, {})
-    (found_,) = compare(reference(plan_runs(scenario)[0].case), trajectory)
+    (found_,) = compare(reference(next(plan_runs(scenario)).case), trajectory)
     assert (found_.error, found_.relative) == (1e-3, math.inf)
 
 

@@ -1,0 +1,163 @@
+"""Sweeps: the points of a design of experiments over any settings of a scenario.
+
+A sweep crosses lists of settings with a sample of random ones:
+
+    points = (list 1) x (list 2) x .. x (sample of all random axes together)
+
+A list may set several things at once, which runs them side by side (a zip). The sample is drawn
+in the unit cube and carried to each axis by the inverse of its distribution function, so that
+plain random numbers, Latin hypercubes and Sobol sequences work for every distribution. Equal
+seeds give equal points.
+
+References
+----------
+M. D. McKay, R. J. Beckman and W. J. Conover, A comparison of three methods for selecting values of
+input variables .., Technometrics 21, 1979 (Latin hypercube).
+A. B. Owen, Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14, 1998.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from congelation.study.start_values import Scalar
+
+__all__ = ["DISTRIBUTIONS", "SAMPLINGS", "Distribution", "RandomAxis", "Settings", "Sweep"]
+
+Settings = Mapping[str, Scalar]
+Floats = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """A distribution with two parameters.
+
+    Parameters
+    ----------
+    parameters : str
+        What they are, for messages.
+    valid : callable
+        Whether two numbers can be its parameters.
+    inverse : callable
+        (u, a, b) -> value for u in (0, 1): the inverse of the distribution function.
+    """
+
+    parameters: str
+    valid: Callable[[float, float], bool]
+    inverse: Callable[[float, float, float], Scalar]
+
+
+DISTRIBUTIONS: Mapping[str, Distribution] = {
+    "uniform": Distribution(
+        "[low, high] with low < high",
+        lambda a, b: a < b,
+        lambda u, a, b: a + (b - a) * u,
+    ),
+    "log_uniform": Distribution(
+        "[low, high] with 0 < low < high",
+        lambda a, b: 0.0 < a < b,
+        lambda u, a, b: a * (b / a) ** u,
+    ),
+    "normal": Distribution(
+        "[mean, standard deviation] with a positive deviation",
+        lambda a, b: b > 0.0,
+        lambda u, a, b: a + b * float(ndtri(u)),
+    ),
+    "integers": Distribution(
+        "[first, last], whole numbers with first < last",
+        lambda a, b: a < b and a == math.floor(a) and b == math.floor(b),
+        lambda u, a, b: int(a + math.floor(u * (b - a + 1.0))),
+    ),
+}
+
+
+def _random(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
+    return rng.random((samples, dimensions))
+
+
+def _latin_hypercube(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
+    points: Floats = qmc.LatinHypercube(dimensions, rng=rng).random(samples)
+    return points
+
+
+def _sobol(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
+    points: Floats = qmc.Sobol(dimensions, rng=rng).random_base2(samples.bit_length() - 1)
+    return points
+
+
+SAMPLINGS: Mapping[str, Callable[[int, int, np.random.Generator], Floats]] = {
+    "random": _random,
+    "latin_hypercube": _latin_hypercube,
+    "sobol": _sobol,
+}
+"""(samples, dimensions, rng) -> points in the unit cube; a Sobol sequence has 2^k of them."""
+
+# The ends of (0, 1) that are kept clear, so that no normal deviate is infinite.
+_SMALLEST = 2.0**-53
+
+
+@dataclass(frozen=True)
+class RandomAxis:
+    """A setting drawn from one of `DISTRIBUTIONS`."""
+
+    name: str
+    distribution: str
+    parameters: tuple[float, float]
+
+    def value(self, u: float) -> Scalar:
+        """The value below which a fraction `u` of all draws lies."""
+        inside = min(max(u, _SMALLEST), 1.0 - _SMALLEST)
+        return DISTRIBUTIONS[self.distribution].inverse(inside, *self.parameters)
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A design of experiments.
+
+    Parameters
+    ----------
+    lists : tuple of tuple of mapping
+        Lists of settings, crossed with each other and with the sample.
+    axes : tuple of RandomAxis
+    sampling : str
+        One of `SAMPLINGS`.
+    samples : int
+        Number of draws, 0 if there are no random axes.
+    seed : int
+    trajectories : bool
+        Whether trajectories are kept, or metrics alone.
+    """
+
+    lists: tuple[tuple[Settings, ...], ...] = ()
+    axes: tuple[RandomAxis, ...] = ()
+    sampling: str = "random"
+    samples: int = 0
+    seed: int = 0
+    trajectories: bool = False
+
+    @property
+    def size(self) -> int:
+        """Number of points."""
+        return math.prod(len(entries) for entries in self.lists) * max(self.samples, 1)
+
+    def points(self) -> Iterator[dict[str, Scalar]]:
+        """The settings of every point, the sample's varying fastest."""
+        sample = list(self._sample())
+        for combination in itertools.product(*self.lists, sample):
+            yield {name: value for settings in combination for name, value in settings.items()}
+
+    def _sample(self) -> Iterator[Settings]:
+        if not self.axes:
+            yield {}
+            return
+        rng = np.random.default_rng(self.seed)
+        for row in SAMPLINGS[self.sampling](self.samples, len(self.axes), rng):
+            yield {axis.name: axis.value(float(u)) for axis, u in zip(self.axes, row, strict=True)}

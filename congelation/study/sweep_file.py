@@ -1,0 +1,111 @@
+"""The table ``[sweep]`` of a scenario file."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from congelation.errors import nearest
+from congelation.study.start_values import Scalar
+from congelation.study.sweep import DISTRIBUTIONS, SAMPLINGS, RandomAxis, Settings, Sweep
+from congelation.toml import Section
+
+__all__ = ["read_sweep"]
+
+Flatten = Callable[[Section], dict[str, Scalar]]
+"""Checks a table of settings against the scenario; one entry per scalar variable."""
+
+_KEYS = ("axes", "samples", "sampling", "seed", "trajectories")
+
+
+def read_sweep(section: Section, flatten: Flatten) -> Sweep:
+    """The sweep that a table describes.
+
+    Raises
+    ------
+    InvalidInput
+        Naming the key and what would be valid.
+    """
+    section.only(_KEYS)
+    lists: list[tuple[Settings, ...]] = []
+    axes: list[RandomAxis] = []
+    taken: dict[str, str] = {}
+    for axis in section.sections("axes"):
+        found = _axis(axis, flatten)
+        names = [found.name] if isinstance(found, RandomAxis) else list(found[0])
+        for name in names:
+            if name in taken:
+                raise axis.error("set", f"sets '{name}', which {taken[name]} sets already")
+            taken[name] = axis.path
+        if isinstance(found, RandomAxis):
+            axes.append(found)
+        else:
+            lists.append(found)
+    if not taken:
+        raise section.error("axes", "is missing; give at least one [[sweep.axes]]")
+    sampling = section.text("sampling", "random")
+    if sampling not in SAMPLINGS:
+        raise section.wrong("sampling", f"a known sampling; {nearest(sampling, SAMPLINGS)}")
+    return Sweep(
+        lists=tuple(lists),
+        axes=tuple(axes),
+        sampling=sampling,
+        samples=_samples(section, bool(axes), sampling),
+        seed=section.integer("seed", 0),
+        trajectories=section.boolean("trajectories", False),
+    )
+
+
+def _samples(section: Section, needed: bool, sampling: str) -> int:
+    if not needed:
+        if "samples" in section.data:
+            raise section.error("samples", "has no meaning without a random axis")
+        return 0
+    samples = section.integer("samples")
+    if samples < 1:
+        raise section.wrong("samples", "a positive whole number")
+    if sampling == "sobol" and samples.bit_count() != 1:
+        power = 2 ** (samples.bit_length() - 1)
+        raise section.wrong("samples", f"a power of two for Sobol: {power} or {2 * power}")
+    return samples
+
+
+def _axis(section: Section, flatten: Flatten) -> RandomAxis | tuple[Settings, ...]:
+    section.only(("set", "values", *DISTRIBUTIONS)).require("set")
+    kinds = [key for key in section.data if key != "set"]
+    if len(kinds) != 1:
+        kinds_text = ", ".join(("values", *DISTRIBUTIONS))
+        raise section.error("set", f"needs one of: {kinds_text}")
+    return _list(section, flatten) if kinds == ["values"] else _random(section, kinds[0], flatten)
+
+
+def _list(section: Section, flatten: Flatten) -> tuple[Settings, ...]:
+    """One entry per value; with several names, each value holds one for each of them."""
+    together = isinstance(section.data["set"], list)
+    names = section.texts("set") if together else (section.text("set"),)
+    values = section.data["values"]
+    if not isinstance(values, list) or not values:
+        raise section.wrong("values", "an array with at least one value")
+    entries = []
+    for index, value in enumerate(values, start=1):
+        row = value if together else [value]
+        if not isinstance(row, list) or len(row) != len(names):
+            raise section.error(f"values[{index}]", f"is not valid; give {len(names)} values")
+        at = f"{section.path}.values[{index}]"
+        entries.append(flatten(replace(section, path=at, data=dict(zip(names, row, strict=True)))))
+    if any(entry.keys() != entries[0].keys() for entry in entries):
+        raise section.error("values", "do not all set the same variables")
+    return tuple(entries)
+
+
+def _random(section: Section, kind: str, flatten: Flatten) -> RandomAxis:
+    name = section.text("set")
+    distribution = DISTRIBUTIONS[kind]
+    numbers = section.numbers(kind)
+    if len(numbers) != 2 or not distribution.valid(numbers[0], numbers[1]):
+        raise section.wrong(kind, distribution.parameters)
+    axis = RandomAxis(name, kind, (numbers[0], numbers[1]))
+    flat = flatten(replace(section, data={name: axis.value(0.5)}))
+    if len(flat) != 1:
+        raise section.error("set", f"= '{name}' is no single variable")
+    return replace(axis, name=next(iter(flat)))
