@@ -71,6 +71,8 @@ class Reference:
     plant, controller : str
         Names of the components.
     loop : ClosedLoop
+    profiles : tuple of Profile
+        theta(t), component by component, without the constants dtheta.
     segments : tuple of Segment
         theta(t) from the start time to the stop time.
     start : ndarray
@@ -80,6 +82,7 @@ class Reference:
     plant: str
     controller: str
     loop: ClosedLoop
+    profiles: tuple[Profile, ...]
     segments: tuple[Segment, ...]
     start: Floats
 
@@ -125,8 +128,11 @@ def reference(case: Case) -> Reference:
         for c, model in zip((plant, controller), models, strict=True)
         for state in model.states
     }
-    segments = _segments(case, values[plant.name])
-    return Reference(plant.name, controller.name, loop, segments, loop.start(states))
+    profiles, offsets = _theta(values[plant.name])
+    segments = _segments(case, profiles, offsets)
+    return Reference(
+        plant.name, controller.name, loop, tuple(profiles), segments, loop.start(states)
+    )
 
 
 def compare(found: Reference, trajectory: Trajectory) -> tuple[Deviation, ...]:
@@ -223,9 +229,10 @@ def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]
     }
 
 
-def _segments(case: Case, values: Mapping[str, Scalar]) -> tuple[Segment, ...]:
+def _segments(
+    case: Case, profiles: Sequence[Profile], offsets: Sequence[float]
+) -> tuple[Segment, ...]:
     """theta(t) on the smooth pieces between the jumps of any of its components."""
-    profiles, offsets = _theta(values)
     stop = case.experiment.stop_time
     segments, time = [], case.experiment.start_time
     while time < stop:
