@@ -28,6 +28,9 @@ ROUNDING = 1e-9
 """A margin above this fraction of the terms that it is the sum of is a violation; less is within
 the rounding of those terms."""
 
+ASCENT = {"maxiter": 100, "maxfun": 300}
+"""Effort of one local ascent. Where the claim fails, the excess may have no maximum at all."""
+
 
 @dataclass(frozen=True)
 class PerturbationSet:
@@ -229,7 +232,7 @@ class Certificate:
             return -margin.excess, -slope
 
         with np.errstate(all="ignore"):  # a trial step of the line search may overflow
-            found = minimize(fall, X, jac=True, method="L-BFGS-B", options={"maxiter": 200})
+            found = minimize(fall, X, jac=True, method="L-BFGS-B", options=ASCENT)
         return Encounter(self.at(found.x, ell), found.x, ell)
 
     @cached_property

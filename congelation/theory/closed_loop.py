@@ -192,31 +192,38 @@ class ClosedLoop:
             As in `scipy.integrate.solve_ivp`.
         """
         wanted = np.asarray(times, dtype=float)
-        X, rows, thetas, message, success = np.asarray(start, dtype=float), [], [], "", True
+        if wanted.min() < segments[0].start or wanted.max() > segments[-1].end:
+            raise InvalidInput(
+                f"times from {wanted.min():.9g} to {wanted.max():.9g}; valid: within the segments, "
+                f"{segments[0].start:.9g} to {segments[-1].end:.9g}"
+            )
+        X, rows, thetas = np.asarray(start, dtype=float), [], []
+        success, message = True, ""
         for index, segment in enumerate(segments):
             last = index == len(segments) - 1
             before_end = wanted <= segment.end if last else wanted < segment.end
             inside = wanted[(wanted >= segment.start) & before_end]
-            step = solve_ivp(
-                lambda t, X, theta=segment.theta: self.function(X, theta(t)),
-                (segment.start, segment.end),
-                X,
-                method=method,
-                t_eval=np.union1d(inside, [segment.end]),
-                rtol=rtol,
-                atol=atol,
-            )
-            kept = np.isin(step.t, inside)
-            rows.append(step.y.T[kept])
-            thetas += [(t, segment.theta(t)) for t in step.t[kept]]
-            message, success = step.message, bool(step.success)
+            with np.errstate(all="ignore"):  # a trial step may overflow; the solver shortens it
+                piece = solve_ivp(
+                    lambda t, X, theta=segment.theta: self.function(X, theta(t)),
+                    (segment.start, segment.end),
+                    X,
+                    method=method,
+                    t_eval=np.union1d(inside, [segment.end]),
+                    rtol=rtol,
+                    atol=atol,
+                )
+            kept = np.isin(piece.t, inside)
+            rows += list(piece.y.T[kept])
+            thetas += [segment.theta(t) for t in piece.t[kept]]
+            success, message = bool(piece.success), str(piece.message)
             if not success:
                 break
-            X = step.y[:, -1]
-        states = np.vstack(rows)
-        outputs = [self.output_function(x, th) for x, (_, th) in zip(states, thetas, strict=True)]
-        time = np.array([t for t, _ in thetas])
-        return Solution(time, states, np.array(outputs).reshape(len(time), -1), success, message)
+            X = piece.y[:, -1]
+        states = np.array(rows).reshape(len(rows), len(self.state_names))
+        outputs = [self.output_function(X, theta) for X, theta in zip(rows, thetas, strict=True)]
+        shape = (len(rows), len(self.output_names))
+        return Solution(wanted[: len(rows)], states, np.reshape(outputs, shape), success, message)
 
     def _names(self, variables: Callable[[Model], Sequence[Variables]]) -> tuple[str, ...]:
         sides = (("plant", self.plant), ("controller", self.controller))

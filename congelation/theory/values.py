@@ -49,14 +49,14 @@ def complete_values(model: Model, given: Mapping[str, object] | None = None) -> 
         _check_domain(parameter, values[name])
     for gain in model.gains:
         if gain.variables.name not in given:
-            arguments = [_argument(values[name]) for name in gain.arguments]
+            arguments = [_argument(parameters[name], values[name]) for name in gain.arguments]
             found = RULES[gain.rule](*arguments, **gain.constants)
             values[gain.variables.name] = found.reshape(gain.variables.shape)
     return values
 
 
-def _argument(value: NDArray[np.float64]) -> object:
-    return value.item() if value.size == 1 and value.shape == (1, 1) else value
+def _argument(parameter: Parameter, value: NDArray[np.float64]) -> object:
+    return value if parameter.variables.indexed else value.item()
 
 
 def _shaped(name: str, value: object, shape: tuple[int, int]) -> NDArray[np.float64]:

@@ -24,10 +24,10 @@ from congelation.theory.gains import (
     upper_shift,
 )
 
-from .systems import random_definite, seeds
+from .systems import least_r, random_definite, seeds
 
 orders = st.integers(min_value=1, max_value=5)
-weights = st.floats(min_value=0.05, max_value=5)
+weights = st.sampled_from([0.05, 0.3, 1.0, 5.0])
 
 
 def riccati_terms(X, r, Q):
@@ -38,7 +38,7 @@ def riccati_terms(X, r, Q):
 @given(n=orders, epsilon=weights, factor=st.floats(min_value=1.001, max_value=20))
 def test_iss_riccati_solves_43(n, epsilon, factor):
     Q = iss_weight(n, epsilon)
-    r = factor * smallest_feasible_r(n, Q)
+    r = factor * least_r(n, epsilon)
     X = iss_riccati(r, Q)
     terms = riccati_terms(X, r, Q)
     scale = max(np.abs(t).max() for t in terms)
@@ -121,8 +121,9 @@ def test_filter_norm_is_the_peak_of_the_frequency_response(seed, n):
     rng = np.random.default_rng(seed)
     k = placed_filter_gain(-rng.uniform(0.3, 3, n))
     A_f, identity = filter_matrix(k), np.eye(n)
-    frequencies = np.concatenate([[0.0], np.logspace(-3, 3, 2000)])
-    peak = max(np.linalg.norm(np.linalg.inv(1j * w * identity - A_f), 2) for w in frequencies)
+    frequencies = np.concatenate([[0.0], np.logspace(-3, 3, 1000)])
+    responses = np.linalg.inv(1j * frequencies[:, None, None] * identity - A_f)
+    peak = np.linalg.norm(responses, 2, axis=(1, 2)).max()
     (norm,) = filter_norm(k)
     assert norm == pytest.approx(peak, rel=1e-4)
     assert filter_riccati(k, 0.999 * peak) is None

@@ -101,19 +101,16 @@ def test_error_dynamics_are_the_corrected_57(degree, seed):
     values = p | random_state(rng, model) | {"k": k}
     ell, Delta = rng.normal(size=m + 1 + n), rng.normal(size=m + 1 + n)
     Delta[: m + 1] = 0
-    moving = [s.variables.symbol for s in model.states]
+    flows = [ca.jacobian(design.z, s.variables.symbol) @ s.rate for s in model.states]
     z, u, W_theta, W_x, alphabar, xi, Omega_T, *rest = numbers(
         model,
         [design.z, design.u, design.W_theta, design.W_x_tilde, design.alphabar_1]
         + [design.filter.xi, design.filter.Omega_T, ca.jacobian(design.z, symbols.y.symbol)]
-        + [
-            ca.jacobian(design.z, symbol) @ s.rate
-            for symbol, s in zip(moving, model.states, strict=True)
-        ]
+        + flows
         + [step.dalpha.theta_hat for step in design.steps],
         values,
     )
-    z_y, partial_rates, slopes = rest[0], rest[1 : 1 + len(moving)], rest[1 + len(moving) :]
+    z_y, partial_rates, slopes = rest[0], rest[1 : 1 + len(flows)], rest[1 + len(flows) :]
     x = rng.normal(size=n)
     x[0] = values["y"].item()
     (x_rate,) = numbers(plant, [plant.states[0].rate], {"x": x, "u": u, "theta": ell + Delta})
