@@ -111,6 +111,8 @@ def _finish(raw: Path, target: Path, staged: Staged) -> None:
     description = finished.pop("modelDescription.xml")
     finished[f"resources/{staged.package}/pythonfmu/__init__.py"] = b""
     finished["documentation/licenses/license.txt"] = _LICENSES.encode("ascii")
+    finished["documentation/externalDependencies.txt"] = _DEPENDENCIES.encode("ascii")
+    finished["model.png"] = staged.icon
     # modelDescription.xml comes first: hosts that stream the archive find it at once.
     ordered = [
         ("modelDescription.xml", complete(description, staged.interface, staged.digest, tool)),
@@ -128,4 +130,14 @@ _LICENSES = """\
 This FMU was built by congelation (MIT licence) and contains parts of PythonFMU (MIT licence,
 Copyright (c) 2019 Norwegian University of Science and Technology and others): the library under
 binaries and the Python package under resources that carries its name.
+"""
+_DEPENDENCIES = """\
+This FMU runs on the Python of its host: Python 3.9 or newer, 64 bit, the standard library alone.
+
+The library under binaries uses the functions of libpython without naming a version of it. In a host
+that is a Python process they are there. Any other host on Linux has to be started with them:
+
+    LD_PRELOAD=/path/to/libpython3.11.so host
+
+On Windows python3.dll must be found on the PATH.
 """

@@ -38,6 +38,7 @@ class Staged:
     slave: Path
     resources: tuple[Path, ...]
     documentation: Path
+    icon: bytes
     interface: Interface
 
 
@@ -59,6 +60,7 @@ def stage(fmu: FmuSpec, spec: Spec, sources: Path, folder: Path) -> Staged:
     modules = _modules(fmu, interface, sources)
     about = json.dumps(_about(fmu, spec), indent=1, sort_keys=True) + "\n"
     page = _page(fmu, interface, (sources / fmu.folder / "equations.html").read_text("utf-8"))
+    icon = (sources / ("controller.png" if fmu.model.theta is None else "plant.png")).read_bytes()
     digest = _digest({**modules, "spec.json": about, "index.html": page})
     package = f"congelation_{digest[:_DIGITS]}"
     package_folder = folder / package
@@ -81,6 +83,7 @@ def stage(fmu: FmuSpec, spec: Spec, sources: Path, folder: Path) -> Staged:
         slave,
         (package_folder, folder / "spec.json"),
         documentation,
+        icon,
         interface,
     )
 
