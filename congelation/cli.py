@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated
 
@@ -28,7 +27,7 @@ from congelation.study.batch import Plan, plan_sweep, run_sweep
 from congelation.study.run import run_scenario
 from congelation.study.scenario import Scenario
 from congelation.study.scenario_file import load_scenario
-from congelation.study.store import Store
+from congelation.study.store import Store, code_version
 from congelation.study.verify import LARGEST_DEVIATION
 
 __all__ = ["app", "main"]
@@ -62,7 +61,7 @@ def _complain(text: str) -> None:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        print(f"congelation {version('congelation')}")
+        print(f"congelation {code_version()}")
         raise typer.Exit
 
 

@@ -18,6 +18,8 @@ from congelation.study.store import Store
 from tests.study.scenarios import ROOT, SCALAR, write
 
 COMMAND = [sys.executable, "-W", "error", "-m", "congelation", "sweep"]
+pytestmark = pytest.mark.slow
+
 POINTS = 12
 LONG = ("stop_time = 1.0", "stop_time = 15.0")  # a run takes a few tenths of a second
 

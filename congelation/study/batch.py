@@ -20,9 +20,9 @@ from typing import Any
 
 from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
+from congelation.study.execute import lost_row
 from congelation.study.plan import plan_run, varied_settings
 from congelation.study.provenance import about
-from congelation.study.run import lost_row
 from congelation.study.scenario import Scenario
 from congelation.study.store import Store
 from congelation.study.workers import Task, Work, process_executor, work

@@ -1,116 +1,25 @@
-"""One run: simulated, measured, kept as a row and a trajectory; and all variants of a scenario."""
+"""All variants of a scenario, run one after the other and stored."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from congelation.cosim.description import describe
-from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.result import Result, Status
+from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
+from congelation.study.execute import execute
 from congelation.study.interrupt import deferred_interrupts
-from congelation.study.metrics import metric
 from congelation.study.plan import Run, plan_runs, varied_settings
 from congelation.study.provenance import about
-from congelation.study.scenario import MetricSpec, Scenario
-from congelation.study.store import Store, Trajectory, code_version
+from congelation.study.scenario import Scenario
+from congelation.study.store import Store
 from congelation.study.verify import Reference, compare, reference
 
-__all__ = ["execute", "lost_row", "run_scenario"]
-
-Progress = Callable[[float], None]
-
-
-def execute(
-    run: Run, scenario: Scenario, pool: SlavePool, progress: Progress | None = None
-) -> tuple[dict[str, Any], Trajectory]:
-    """Simulate a run.
-
-    Parameters
-    ----------
-    run : Run
-    scenario : Scenario
-        The one that `run` was planned from.
-    pool : SlavePool
-        Lends the FMU instances.
-    progress : callable, optional
-        Called now and then with the fraction done.
-
-    Returns
-    -------
-    row : dict
-        By column: identity, settings, status, metrics (None unless the run reached its stop
-        time) and cost.
-    trajectory : Trajectory
-        Everything recorded up to the point where the run ended.
-    """
-    experiment = run.case.experiment
-    result = simulate(
-        run.case.system,
-        start_time=experiment.start_time,
-        stop_time=experiment.stop_time,
-        step=experiment.step,
-        tolerance=experiment.tolerance,
-        coupling=experiment.coupling,
-        options=experiment.options,
-        record=experiment.record,
-        slave_tolerance=experiment.slave_tolerance,
-        progress=progress,
-        pool=pool,
-    )
-    metrics = {spec.name: _measure(spec, result) for spec in scenario.metrics}
-    steps, wall_time = result.statistics.macro_steps, result.statistics.wall_time
-    row = _row(run, result.status.name, result.message, metrics, steps, wall_time)
-    units = {column: _unit(run, column) for column in result.columns}
-    return row, Trajectory(result.time, result.columns, result.values, units)
-
-
-def lost_row(run: Run, scenario: Scenario, status: str, message: str) -> dict[str, Any]:
-    """The row of a run that has no result: refused, or lost with its process."""
-    return _row(run, status, message, dict.fromkeys(m.name for m in scenario.metrics), None, None)
-
-
-def _row(
-    run: Run,
-    status: str,
-    message: str,
-    metrics: Mapping[str, float | None],
-    macro_steps: int | None,
-    wall_time: float | None,
-) -> dict[str, Any]:
-    return {
-        "run_id": run.run_id,
-        "variant": run.variant,
-        **run.settings,
-        "status": status,
-        "message": message,
-        **metrics,
-        "macro_steps": macro_steps,
-        "wall_time": wall_time,
-        **{f"{c.name}.sha256": describe(c.fmu).sha256 for c in run.case.system.components},
-        "seed": run.seed,
-        "code_version": code_version(),
-    }
-
-
-def _measure(spec: MetricSpec, result: Result) -> float | None:
-    if not result.completed:
-        return None  # a metric of half a run would pass for one of a whole run
-    values = result.column(spec.of)
-    return metric(spec.metric).evaluate(
-        result.time, values.reshape(len(values), -1), **spec.options
-    )
-
-
-def _unit(run: Run, column: str) -> str:
-    name, _, variable = column.partition(".")
-    component = next(c for c in run.case.system.components if c.name == name)
-    return describe(component.fmu).variables[variable].unit
+__all__ = ["run_scenario"]
 
 
 def run_scenario(

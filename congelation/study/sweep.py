@@ -26,7 +26,6 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
-from scipy.stats import qmc
 
 from congelation.study.start_values import Scalar
 
@@ -84,11 +83,15 @@ def _random(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
 
 
 def _latin_hypercube(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
+    from scipy.stats import qmc  # here, as it takes half a second that only these two need
+
     points: Floats = qmc.LatinHypercube(dimensions, rng=rng).random(samples)
     return points
 
 
 def _sobol(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
+    from scipy.stats import qmc
+
     points: Floats = qmc.Sobol(dimensions, rng=rng).random_base2(samples.bit_length() - 1)
     return points
 

@@ -18,8 +18,8 @@ from multiprocessing.synchronize import Event
 
 from congelation.cosim.pool import SlavePool
 from congelation.errors import CongelationError
+from congelation.study.execute import execute, lost_row
 from congelation.study.plan import plan_run
-from congelation.study.run import execute, lost_row
 from congelation.study.scenario import Scenario
 from congelation.study.store import Store, StoreError
 from congelation.study.sweep import Settings

@@ -12,8 +12,9 @@ import pytest
 
 from congelation.cosim.pool import SlavePool
 from congelation.errors import InvalidInput
+from congelation.study.execute import execute
 from congelation.study.plan import plan_runs
-from congelation.study.run import execute, run_scenario
+from congelation.study.run import run_scenario
 from congelation.study.scenario_file import load_scenario
 from congelation.study.store import Trajectory
 from congelation.study.verify import LARGEST_DEVIATION, Deviation, compare, reference
