@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 
 import casadi as ca
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from congelation.errors import InvalidInput
 from congelation.theory.certificate import Certificate, PerturbationSet
 from congelation.theory.closed_loop import ClosedLoop
-from congelation.theory.gains import filter_riccati, iss_riccati, iss_weight
+from congelation.theory.gains import filter_norm, filter_riccati, iss_riccati, iss_weight
 from congelation.theory.kfilter import KFilter
 
 __all__ = [
@@ -95,27 +96,34 @@ def _estimation_error(loop: ClosedLoop, m: int, ell: ca.SX) -> ca.SX:
 def _estimation_error_function(values: Mapping[str, Matrix], rho: int) -> tuple[Matrix, float]:
     """(P, g): V_xtilde = x_tilde^T P x_tilde has V_xtilde' <= -|x_tilde|^2 + g^2 |F^T Delta|^2.
 
-    For the ISS filter the r^2 X^-1 and r epsilon of (42), b constant; for the standard one by the
-    bounded real lemma.
+    For the gain of the ISS filter the r^2 X^-1 and r epsilon of (42), b constant; for any other by
+    the bounded real lemma, if the filter's norm is at most g.
     """
-    n = values["k"].size
+    k = values["k"].ravel()
     if "filter_gain" in values:
-        g = values["filter_gain"].item()
-        return _existing(filter_riccati(values["k"], g)), g
-    r = values["r"].item()
-    if "epsilon_b" in values:
-        epsilon = values["epsilon_a"].item()
-        Q = iss_weight(n, epsilon, values["epsilon_b"].item(), rho)
+        X, r, g = None, math.nan, values["filter_gain"].item()
     else:
+        r, epsilon, Q = _iss_design(values, rho)
+        X, g = iss_riccati(r, Q), r * epsilon
+    if X is not None and np.allclose(X[:, 0] / 2, k):
+        return r**2 * _inverse(X), g
+    P = filter_riccati(k, g)
+    if P is None:
+        raise InvalidInput(
+            f"the K-filter lets through more of Delta than the damping counts with, {g:.9g}; "
+            f"valid: at least its H-infinity norm, {filter_norm(k).item():.9g}"
+        )
+    return P, g
+
+
+def _iss_design(values: Mapping[str, Matrix], rho: int) -> tuple[float, float, Matrix]:
+    """r, epsilon (of a) and Q of (41)."""
+    n, r = values["k"].size, values["r"].item()
+    if "epsilon_b" not in values:
         epsilon = values["epsilon"].item()
-        Q = iss_weight(n, epsilon)
-    return r**2 * _inverse(_existing(iss_riccati(r, Q))), r * epsilon
-
-
-def _existing(solution: Matrix | None) -> Matrix:
-    if solution is None:
-        raise InvalidInput("the gain k of the filter is not the one that its rule computes")
-    return solution
+        return r, epsilon, iss_weight(n, epsilon)
+    epsilon = values["epsilon_a"].item()
+    return r, epsilon, iss_weight(n, epsilon, values["epsilon_b"].item(), rho)
 
 
 def _congealed(loop: ClosedLoop) -> ca.SX:

@@ -176,6 +176,15 @@ def test_filter_for_time_varying_b():
     assert not output_feedback_certificate(loop).search(samples=300, ascents=5).violated
 
 
+def test_a_filter_gain_that_is_given_is_judged_by_its_own_norm():
+    """poles at -1: the norm is 1 + sqrt(2), which r epsilon has to reach."""
+    enough = loop_of(2, 0, {"k": [2.0, 1.0], "r": 2.5, "epsilon": 1.0})
+    assert not output_feedback_certificate(enough).search(samples=200, ascents=5).violated
+    short = loop_of(2, 0, {"k": [2.0, 1.0], "r": 2.4, "epsilon": 1.0})
+    with pytest.raises(InvalidInput, match=r"2\.4; valid: .* norm, 2\.4142"):
+        output_feedback_certificate(short)
+
+
 def test_first_tuning_function_where_rho_is_1():
     """With the general formula (47) the inequality fails: e_1 would multiply a z_2 that is not."""
     design = output_feedback_design(2, 1)
