@@ -6,6 +6,9 @@ import sys
 import pytest
 from hypothesis import settings
 
+# Matrices here are small: threads only wait for each other, and on a busy machine for minutes.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 settings.register_profile("repeatable", derandomize=True, deadline=None, print_blob=True)
 settings.load_profile("repeatable")
 
