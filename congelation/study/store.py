@@ -130,12 +130,15 @@ class Store:
 
     @property
     def index(self) -> Path:
+        """The file with all rows."""
         return self.root / "runs.parquet"
 
     def trajectory_file(self, run_id: str) -> Path:
+        """Where the trajectory of a run is kept."""
         return self.root / "trajectories" / f"{run_id}.parquet"
 
     def part_file(self, run_id: str) -> Path:
+        """Where the row of a run is kept, as whoever ran it wrote it."""
         return self.root / "parts" / f"{run_id}.parquet"
 
     def create(self) -> None:
