@@ -270,7 +270,7 @@ def robust(theta_hat: Variables, Gamma: ca.SX, steps: int) -> Robust:
     """
     settings = Settings(
         adapt=scalar("adapt", "False: the estimates are frozen"),
-        sigma=scalar("sigma", "Leakage of the sigma-modification", "1"),
+        sigma=scalar("sigma", "Leakage of the sigma-modification"),
         switching=scalar("switching", "True: leakage only beyond the bound"),
         projection_ball=scalar("projection_ball", "True: project onto the ball"),
         projection_box=scalar("projection_box", "True: project onto the box"),

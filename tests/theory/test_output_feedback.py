@@ -9,7 +9,7 @@ from hypothesis import given, settings
 
 from congelation.errors import InfeasibleDesign, InvalidInput
 from congelation.theory.closed_loop import close
-from congelation.theory.gains import filter_matrix, iss_filter_gain
+from congelation.theory.gains import filter_matrix, iss_filter_gain, iss_riccati, iss_weight
 from congelation.theory.kfilter import standard_filter, varying_b_filter
 from congelation.theory.lyapunov import output_feedback_certificate
 from congelation.theory.observer_form import observer_form_plant
@@ -163,6 +163,37 @@ def test_search_tells_the_corrected_from_the_printed_damping(r, epsilon, certifi
 def test_printed_59_is_violated_for_every_order(n, m):
     parameters = {"delta": 2.0, "delta_1": 1.5, "certified": 0}
     assert output_feedback_certificate(loop_of(n, m, parameters)).search(seed=2).violated
+
+
+def excess_for_weight(weight, damping, r, epsilon, d, delta, delta_1):
+    """sup V' + sum c_i z_i^2 over x_tilde, z_2 and Delta at y = 1, for weight V_xtilde in V; n = 2.
+
+    What is left of V' + sum c_i z_i^2 is s - d_1 + s^2/(4 d_2) - damping + weight V_xtilde', where
+    s = x_tilde_2 - Delta_1 and z_2 is at its worst: a quadratic form in x_tilde.
+    """
+    X = iss_riccati(r, iss_weight(2, epsilon))
+    P, A_f, e_2 = r**2 * np.linalg.inv(X), filter_matrix(X[:, 0] / 2), np.array([0.0, 1.0])
+    D_2 = 1 / (4 * d[1])
+    H = -(D_2 * np.outer(e_2, e_2) + weight * (P @ A_f + A_f.T @ P))
+    if np.linalg.eigvalsh(H).min() <= 0:
+        return math.inf
+    angles = np.linspace(0, 2 * np.pi, 721)
+    Delta = delta * np.array([np.cos(angles), np.sin(angles)])
+    Delta = Delta[:, np.abs(Delta[0]) <= delta_1]
+    slope = np.outer(e_2, 1 - 2 * D_2 * Delta[0]) - 2 * weight * P @ Delta
+    constant = -Delta[0] - d[0] + D_2 * Delta[0] ** 2 - damping
+    return float((constant + (slope * np.linalg.solve(H, slope)).sum(axis=0) / 4).max())
+
+
+@pytest.mark.parametrize(("r", "epsilon"), [(5.0, math.sqrt(0.1)), (11.0, 0.1)])
+def test_no_weight_of_the_filter_in_V_rescues_59(r, epsilon):
+    """Not only the weight of the paper's proof: every one, at the gains of Sec. V."""
+    given = (r, epsilon, [0.2, 0.2], math.sqrt(2), 1.0)
+    total, g = 2 / (4 * 0.2), r * epsilon * math.sqrt(2)
+    printed, corrected = g**2 / 2 * total, (g + 1) ** 2 * total
+    weights = total * np.logspace(-3, 3, 601)
+    assert min(excess_for_weight(w, printed, *given) for w in weights) > 5
+    assert excess_for_weight((1 + 1 / g) * total, corrected, *given) < 0
 
 
 @pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (3, 1)])
