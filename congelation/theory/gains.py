@@ -41,6 +41,9 @@ FEASIBLE_TOLERANCE = 1e-9
 """Relative width at which the bisection for a smallest feasible number stops: far below any use
 of it, far above the rounding of the Riccati solver next to the infeasible edge."""
 
+LARGEST_FEASIBLE = 1e12
+"""Where the bisection gives up: beyond it the squares in the equation exhaust double precision."""
+
 
 def upper_shift(n: int) -> Matrix:
     """The n x n upper shift matrix S of (9) and (27)."""
@@ -304,6 +307,11 @@ def _least(feasible: Callable[[float], bool]) -> float:
     high = 1.0
     while not feasible(high):
         high *= 2.0
+        if high > LARGEST_FEASIBLE:
+            raise InfeasibleDesign(
+                f"the Riccati equation has no solution for any gain up to {LARGEST_FEASIBLE:.0e}: "
+                "its weights are too far apart for double precision"
+            )
     low = high / 2.0
     while feasible(low):
         low, high = low / 2.0, low
@@ -329,7 +337,7 @@ def _riccati(A: Matrix, B: Matrix, Q: Matrix, R: Matrix) -> Matrix | None:
     """X = X^T > 0 with A^T X + X A - X B R^-1 B^T X + Q = 0, R indefinite or not; else None."""
     try:
         X = solve_continuous_are(A, B, Q, R)
-    except LinAlgError:
+    except (LinAlgError, ValueError):  # the second: eigenvalues too close to be told apart
         return None
     quadratic = X @ B @ np.linalg.solve(R, B.T @ X)
     residual = A.T @ X + X @ A - quadratic + Q

@@ -13,7 +13,9 @@ from congelation.theory.gains import iss_weight, smallest_feasible_r
 from congelation.theory.model import Model
 
 seeds = st.integers(min_value=0, max_value=2**32 - 1)
-orders = st.sampled_from([(1, 1), (1, 3), (2, 1), (2, 2), (2, 3), (3, 1), (3, 2), (3, 3), (4, 2), (4, 3)])
+orders = st.sampled_from(
+    [(1, 1), (1, 3), (2, 1), (2, 2), (2, 3), (3, 1), (3, 2), (3, 3), (4, 2), (4, 3)]
+)
 """(n, p) of strict-feedback plants."""
 degrees = st.sampled_from([(n, m) for n in (1, 2, 3, 4) for m in range(n)])
 """(n, m) of observer-form plants."""

@@ -59,6 +59,18 @@ def test_smallest_r_closed_forms(epsilon):
     )
 
 
+@pytest.mark.parametrize("n", [1, 2, 4, 8])
+@pytest.mark.parametrize("epsilon", [1e-4, 1e-2, 1e2, 1e4])
+def test_filters_for_extreme_weights(n, epsilon):
+    r = smallest_feasible_r(n, iss_weight(n, epsilon))
+    assert np.isfinite(iss_filter_gain(1.5 * r, epsilon, n=n)).all()
+
+
+def test_weights_beyond_double_precision_are_refused():
+    with pytest.raises(InfeasibleDesign, match="double precision"):
+        smallest_feasible_r(3, iss_weight(3, 1e-14))
+
+
 @given(n=orders, seed=seeds)
 @settings(max_examples=20)
 def test_smallest_r_separates(n, seed):
