@@ -64,7 +64,7 @@ def python_library() -> Path:
 def ending(code: int) -> str:
     """How a process ended, in words."""
     if code < 0:
-        return f"killed by {signal.Signals(-code).name}"
+        return f"was killed by {signal.Signals(-code).name}"
     return f"ended with exit code {code}"
 
 
@@ -77,7 +77,7 @@ def run_in_host(bench: Bench) -> Iterator[str]:
     done = _host(bench, "run", [str(bench.grid.steps), *(str(r) for r in references)])
     if done.returncode != 0:
         said = done.stderr.strip()[-300:]
-        raise Violated(f"the C host was {ending(done.returncode)}: {said or 'no message'}")
+        raise Violated(f"the C host {ending(done.returncode)}: {said or 'no message'}")
     rows = [[float.fromhex(word) for word in line.split()] for line in done.stdout.splitlines()]
     for point, (row, expected) in enumerate(zip(rows, _rows(bench, references), strict=True)):
         for v, value, wanted in zip(outputs, row, expected, strict=True):
@@ -105,7 +105,7 @@ def loads_bare(bench: Bench) -> str | None:
     done = _host(bench, "load", [], preload=False)
     if done.returncode == 0:
         return None
-    return f"the C host was {ending(done.returncode)} on loading: {done.stderr.strip()[-200:]}"
+    return f"the C host {ending(done.returncode)} on loading: {done.stderr.strip()[-200:]}"
 
 
 def _host(

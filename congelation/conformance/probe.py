@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 
 from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
@@ -14,6 +15,8 @@ __all__ = ["feedthrough", "initial_sensitivity", "read", "shifted"]
 
 # A tenth of the value (or of 1): visible, and seldom out of the range that a model accepts.
 _SHIFT = 0.1
+# A time at which no periodic signal of a round period stands where it stood.
+_DELAY = 0.37
 # Step for telling a direct reaction from one through a state: the latter shrinks with the step.
 _TINY_STEP = 1e-4
 # Halving the step halves a reaction through a state; a direct one keeps its size.
@@ -55,6 +58,29 @@ def _changed(base: Mapping[int, Value], other: Mapping[int, Value]) -> Iterator[
     return (index for index, value in other.items() if not same(value, base[index]))
 
 
+@dataclass(frozen=True)
+class _Point:
+    """Where sensitivities are measured: a start time, and start values other than the default."""
+
+    start: float
+    values: Mapping[int, Value]
+
+
+def _points(bench: Bench) -> Iterator[_Point]:
+    """The defaults; all Real start values shifted, later in time; the Boolean ones toggled, too.
+
+    At the defaults much is zero or switched off and hides what depends on it.
+    """
+    yield _Point(bench.grid.start, {})
+    moved: dict[int, Value] = {}
+    for element in ("Real", "Boolean"):
+        for v in bench.description.variables:
+            if v.is_exact and v.element == element and v.start is not None:
+                value = shifted(v, v.start, bench.description)
+                moved |= {} if value is None else {v.index: value}
+        yield _Point(bench.grid.start + _DELAY, dict(moved))
+
+
 def initial_sensitivity(bench: Bench) -> tuple[Effects, set[int]]:
     """Shift one Known after the other and see which InitialUnknowns change.
 
@@ -70,46 +96,69 @@ def initial_sensitivity(bench: Bench) -> tuple[Effects, set[int]]:
         v for u in description.initial_unknowns if (v := description.variable(u.index)) is not None
     )
     instance = bench.fresh()
-    bench.begin(instance)
-    base = read(instance, unknowns)
     effects: Effects = {}
     varied: set[int] = set()
-    for known in description.variables:
-        demand(instance.reset(), "fmi2Reset")
-        if not _begin_with_shifted(bench, instance, known):
+    for point in _points(bench):
+        base = _readings(bench, instance, point, None, unknowns)
+        if base is None:
             continue
-        varied.add(known.index)
-        other = read(instance, unknowns)
-        for index in _changed(base, other):
-            if index != known.index:
-                effects[index, known.index] = (base[index], other[index])
+        for known in description.variables:
+            other = _readings(bench, instance, point, known, unknowns)
+            if other is None:
+                continue
+            varied.add(known.index)
+            for index in _changed(base, other):
+                if index != known.index:
+                    effects[index, known.index] = (base[index], other[index])
     instance.free()
     return effects, varied
 
 
-def _begin_with_shifted(bench: Bench, instance: Instance, known: Variable) -> bool:
-    """Enter Initialization Mode with one Known shifted; False if it is none or is refused."""
-    description, start = bench.description, bench.grid.start
-    if known.causality == "independent":
-        demand(instance.setup(start + _SHIFT), "fmi2SetupExperiment")
-        demand(instance.enter(), "fmi2EnterInitializationMode")
-        excite(instance, description, 0)
-        return True
-    if known.causality == "input":
-        value = shifted(known, excitation(known, 0), description)
-        if value is not None:
-            bench.begin(instance, instead={known.index: value})
-        return value is not None
-    if not known.is_exact or known.start is None:
-        return False
-    value = shifted(known, known.start, description)
-    if value is None or instance.set(known.base, [known.reference], [value]) != Status.OK:
-        return False
-    # A parameter that does not fit the others may be refused at initialization.
+def _readings(
+    bench: Bench,
+    instance: Instance,
+    point: _Point,
+    known: Variable | None,
+    unknowns: tuple[Variable, ...],
+) -> dict[int, Value] | None:
+    """The unknowns in Initialization Mode at a point, one Known shifted.
+
+    None if that cannot be done: it is no Known, there is no other value for it, or the FMU does
+    not accept the values (which it may find out no earlier than at the first step).
+    """
+    description = bench.description
+    shift = _shift_of(known, point, description)
+    demand(instance.reset(), "fmi2Reset")
+    if shift is None:
+        return None
+    start, values = shift
+    for v in description.variables:
+        if v.causality == "input" or v.index not in values:
+            continue
+        if instance.set(v.base, [v.reference], [values[v.index]]) != Status.OK:
+            return None
     if instance.setup(start) != Status.OK or instance.enter() != Status.OK:
-        return False
-    excite(instance, description, 0)
-    return True
+        return None
+    excite(instance, description, 0, instead=values)
+    found = read(instance, unknowns)
+    accepted = instance.leave() == Status.OK and instance.step(start, bench.grid.step) == Status.OK
+    return found if accepted else None
+
+
+def _shift_of(
+    known: Variable | None, point: _Point, description: Description
+) -> tuple[float, dict[int, Value]] | None:
+    """Start time and values with one Known shifted; None if it is none or has no other value."""
+    if known is None:
+        return point.start, dict(point.values)
+    if known.causality == "independent":
+        return point.start + _SHIFT, dict(point.values)
+    if known.causality == "input":
+        before: Value | None = excitation(known, 0)
+    else:
+        before = point.values.get(known.index, known.start) if known.is_exact else None
+    value = None if before is None else shifted(known, before, description)
+    return None if value is None else (point.start, {**point.values, known.index: value})
 
 
 def feedthrough(bench: Bench) -> tuple[Effects, set[int]]:

@@ -162,10 +162,10 @@ class Checker:
                 lines, notes = tuple(report["lines"]), tuple(report["notes"])
                 if not (rule.ends_normally and code != 0):
                     return Finding(rule, Outcome[report["outcome"]], lines, notes)
-                line = f"the process was {ending(code)} at its end{_tail(said)}"
+                line = f"the process {ending(code)} at its end{_tail(said)}"
                 return Finding(rule, Outcome.VIOLATION, (*lines, line), notes)
             where = Tape.read(job.tape)
-            line = f"the process was {ending(code)}{f' in {where}' if where else ''}{_tail(said)}"
+            line = f"the process {ending(code)}{f' in {where}' if where else ''}{_tail(said)}"
             return Finding(rule, Outcome.VIOLATION, (line,))
 
     def _excused(self, finding: Finding) -> Finding:

@@ -157,7 +157,7 @@ def _umask() -> int:
     return mask
 
 
-@dynamic("FMI2-INST-07", "2.1")
+@dynamic("FMI2-INST-07", "2.1", bare=True)
 def global_settings(bench: Bench) -> Iterator[str]:
     """Running the FMU changes no setting of the process: directory, environment, locale, rounding,
     umask."""

@@ -38,7 +38,7 @@ def _moved(bench: Bench, name: str) -> Path:
     return target
 
 
-@dynamic("FMI2-URI-01", "2.1.5")
+@dynamic("FMI2-URI-01", "2.1.5", bare=True)
 def empty_authority(bench: Bench) -> Iterator[str]:
     """The resource location may have the form file:///path."""
     yield from _run_with(bench, f"file://{_plain_path(bench)}")

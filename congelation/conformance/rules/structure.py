@@ -103,7 +103,9 @@ def _knowns(description: Description, initialization: bool) -> set[int]:
 
 def _lists(description: Description) -> Iterator[tuple[str, tuple[Unknown, ...], bool]]:
     yield "Outputs", description.outputs, False
-    yield "Derivatives", description.derivatives, False
+    # Without directional derivatives the element is ignored for co-simulation.
+    if description.flag("providesDirectionalDerivative"):
+        yield "Derivatives", description.derivatives, False
     yield "InitialUnknowns", description.initial_unknowns, True
 
 

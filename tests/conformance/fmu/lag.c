@@ -13,10 +13,11 @@
 #include <string.h>
 #include <unistd.h>
 
+#include "fmi2Functions.h"
 #ifdef MUTATION_function_missing
+#undef fmi2CancelStep
 #define fmi2CancelStep not_exported
 #endif
-#include "fmi2Functions.h"
 
 /* MUTANT(name) is 1 if MUTATION_<name> is defined as 1, else 0. */
 #define MUTATION_MARK_1 0,
@@ -646,7 +647,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real h, fmi2Boolean fi
     double size = MUTANT(step_size_ignored) ? 0.01 : h;
     s->real[X] = solved(s, size);
     s->real[U] += MUTANT(input_forgotten) ? 0.1 : s->slope * size;
-    s->real[TIME] = MUTANT(time_stands) ? time : time + h;
+    s->real[TIME] = time + h;
     i->now.last_size = h;
     ++s->steps;
     if (MUTANT(parameter_drifts)) s->real[K] += 1e-6;
@@ -678,7 +679,7 @@ fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Rea
 {
     Instance *i = c;
     if (kind != fmi2LastSuccessfulTime) return no_status(c);
-    *value = i->now.real[TIME];
+    *value = i->now.real[TIME] - (MUTANT(last_time_wrong) ? i->now.last_size : 0.0);
     return fmi2OK;
 }
 

@@ -1,0 +1,29 @@
+"""The test FMU, compiled once for each mutation that is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import lag
+import pytest
+
+
+@pytest.fixture(scope="session")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], bytes]:
+    """The shared library with a mutation, or "" for the correct one."""
+    folder = tmp_path_factory.mktemp("libraries")
+    known: dict[str, bytes] = {}
+
+    def compiled(mutation: str = "") -> bytes:
+        if mutation not in known:
+            known[mutation] = lag.compiled(folder, mutation)
+        return known[mutation]
+
+    return compiled
+
+
+@pytest.fixture(scope="session")
+def correct(library: Callable[[str], bytes], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The correct FMU."""
+    return lag.build(tmp_path_factory.mktemp("correct"), library(""))
