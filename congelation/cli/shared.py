@@ -1,0 +1,58 @@
+"""What the commands share: exit codes, complaints, the summary of a result directory."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from congelation.report.figures import draw, figure_names, save
+from congelation.report.summary import summarise
+from congelation.study.store import Store
+
+__all__ = [
+    "BAD_INPUT",
+    "FAILED",
+    "INTERRUPTED",
+    "complain",
+    "print_figures",
+    "print_summary",
+    "print_table",
+]
+
+FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+
+
+def complain(text: str) -> None:
+    """One line on stderr."""
+    print(f"congelation: {' '.join(text.split())}", file=sys.stderr)
+
+
+def print_table(
+    title: str, columns: Sequence[str], lines: Sequence[tuple[str, Sequence[str]]]
+) -> None:
+    """A table with a label at the head of each line."""
+    table = Table(title=escape(title), title_justify="left")
+    table.add_column("")
+    for column in columns:
+        table.add_column(escape(column), justify="right")
+    for label, cells in lines:
+        table.add_row(escape(label), *(escape(cell) for cell in cells))
+    Console().print(table)
+
+
+def print_summary(store: Store) -> None:
+    """The summary of a result directory."""
+    study = store.read()
+    summary = summarise(study)
+    print_table(study.about["title"], summary.columns, summary.lines)
+
+
+def print_figures(store: Store) -> None:
+    """Draw the figures of a result directory, and say where they are."""
+    for name in figure_names(store):
+        for file in save(draw(store, name), store.root / "figures", name):
+            print(file)
