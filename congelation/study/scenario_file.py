@@ -20,7 +20,7 @@ from congelation.study.start_values import Scalar, profile_values, start_values
 from congelation.study.sweep_file import read_sweep
 from congelation.toml import Section, read_document
 
-__all__ = ["load_scenario"]
+__all__ = ["load_scenario", "read_scenario"]
 
 _KEYS = (
     "title",
@@ -47,7 +47,7 @@ _BUILD = "build it with: python build_fmu.py"
 
 
 def load_scenario(file: Path) -> Scenario:
-    """Read a scenario.
+    """Read a scenario file.
 
     Raises
     ------
@@ -55,6 +55,17 @@ def load_scenario(file: Path) -> Scenario:
         Naming the file, the path of the key, and what would be valid.
     """
     text, document = read_document(file)
+    return read_scenario(file, text, document)
+
+
+def read_scenario(file: Path, text: str, document: Section) -> Scenario:
+    """The scenario that a document describes; `text` is what it was read from, for the record.
+
+    Raises
+    ------
+    InvalidInput
+        Naming the file, the path of the key, and what would be valid.
+    """
     document.only(_KEYS).require("title", "components", EXPERIMENT)
     tables = document.section("components").subsections()
     components = tuple(_component(section, name) for name, section in tables)

@@ -1,0 +1,251 @@
+"""One variant of a scenario as an SSP archive.
+
+    SystemStructure.ssd        components, connections, experiment
+    resources/<component>.ssv  the start values of a component
+    resources/<name>.fmu       the FMUs
+    resources/..               files that start values name: tables of theta(t)
+
+Equal scenarios and FMUs give byte-identical archives.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import zipfile
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+
+from lxml import etree
+
+from congelation.cosim.description import Description, Variable
+from congelation.cosim.start import StartValue
+from congelation.cosim.system import Link, ResolvedSystem
+from congelation.errors import InvalidInput, nearest
+from congelation.study.scenario import Experiment, Scenario, Variant
+from congelation.study.ssp.schema import ANNOTATION, DESCRIPTION, NAMESPACES, SSD, tag
+from congelation.study.store import replace_whole
+
+__all__ = ["write_ssp"]
+
+_VERSION = "1.0"
+# One name for the sets of all components: tools apply all sets of a name together.
+_PARAMETER_SET = "initialValues"
+# The earliest date of a ZIP archive: equal content, equal bytes.
+_DATE = (1980, 1, 1, 0, 0, 0)
+
+
+def write_ssp(scenario: Scenario, file: Path, variant: str | None = None) -> None:
+    """Write one variant of a scenario as an SSP archive.
+
+    The archive says what SSP 1.0 can say; the coupling, its step, the columns to record, metrics
+    and figures are in an annotation, which other tools ignore.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    file : Path
+        Replaced if it exists.
+    variant : str, optional
+        The first one by default.
+
+    Raises
+    ------
+    InvalidInput
+        Another ending than .ssp, no such variant, or a connection from a variable that is no
+        output, for which SSP has no connector.
+    StoreError
+        If the file cannot be written.
+    """
+    if file.suffix != ".ssp":
+        raise InvalidInput(f"{file}: the name of an SSP archive ends in .ssp")
+    chosen = _variant(scenario, variant)
+    case = scenario.case(chosen.settings)
+    resolved = case.system.resolve()
+    archive = _Archive()
+    root = _root(scenario, file)
+    system = _add(root, "ssd:System", name=file.stem)
+    connectors = _connectors(resolved, case.experiment)
+    elements = _add(system, "ssd:Elements")
+    for place, member in enumerate(resolved.members):
+        fmu = member.description.path
+        source = archive.add(f"resources/{fmu.name}", fmu.read_bytes())
+        component = _add(elements, "ssd:Component", name=member.name, source=source)
+        component.set("implementation", "CoSimulation")
+        _add_connectors(component, connectors[place])
+        parameters = _parameter_set(member.start, archive)
+        bound = archive.add(f"resources/{member.name}.ssv", parameters)
+        _add(_add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=bound)
+    _add_connections(system, resolved)
+    _add_experiment(root, case.experiment)
+    beyond = _beyond_ssp(scenario, chosen, case.experiment)
+    etree.SubElement(_annotation(root, ANNOTATION), "Scenario").text = json.dumps(beyond, indent=2)
+    archive.add(SSD, _document(root))
+    replace_whole(file, archive.write)
+
+
+@dataclass
+class _Archive:
+    """The files of the archive, by name."""
+
+    entries: dict[str, bytes] = field(default_factory=dict)
+
+    def add(self, name: str, content: bytes) -> str:
+        """Add a file under its name, or a longer one if another content has that."""
+        if self.entries.get(name, content) != content:
+            stem, dot, suffix = name.rpartition(".")
+            name = f"{stem}_{hashlib.sha256(content).hexdigest()[:8]}{dot}{suffix}"
+        self.entries[name] = content
+        return name
+
+    def write(self, target: Path) -> None:
+        with zipfile.ZipFile(target, "w") as archive:
+            for name, content in sorted(self.entries.items()):
+                info = zipfile.ZipInfo(name, _DATE)
+                info.compress_type = zipfile.ZIP_DEFLATED
+                archive.writestr(info, content)
+
+
+def _variant(scenario: Scenario, name: str | None) -> Variant:
+    if name is None:
+        return scenario.variants[0]
+    for variant in scenario.variants:
+        if variant.name == name:
+            return variant
+    names = [variant.name for variant in scenario.variants]
+    raise InvalidInput(f"{scenario.file}: no variant '{name}'; {nearest(name, names)}")
+
+
+def _root(scenario: Scenario, file: Path) -> etree._Element:
+    root = etree.Element(tag(f"ssd:{DESCRIPTION}"), nsmap=NAMESPACES)
+    root.set("version", _VERSION)
+    root.set("name", file.stem)
+    root.set("description", scenario.title)
+    root.set("generationTool", f"congelation {version('congelation')}")
+    return root
+
+
+def _add(parent: etree._Element, element: str, **attributes: str) -> etree._Element:
+    return etree.SubElement(parent, tag(element), attributes)
+
+
+def _connectors(resolved: ResolvedSystem, experiment: Experiment) -> dict[int, dict[str, Variable]]:
+    """By place of the component: the variables with a connector, in the FMU's order.
+
+    Those are the connected ones, and the outputs that the experiment records, for tools that show
+    nothing but connectors.
+    """
+    wanted: dict[int, set[str]] = {place: set() for place in range(len(resolved.members))}
+    for link in _links(resolved):
+        if link.output.causality != "output":
+            raise InvalidInput(
+                f"connection '{link.name}': '{link.output.name}' is of causality "
+                f"{link.output.causality}; an SSP connects outputs to inputs"
+            )
+        wanted[link.source].add(link.output.name)
+        wanted[link.target].add(link.input.name)
+    for column in resolved.recorded(experiment.record):
+        if column.variable.causality == "output":
+            wanted[column.member].add(column.variable.name)
+    return {
+        place: _in_order(resolved.members[place].description, names)
+        for place, names in wanted.items()
+    }
+
+
+def _in_order(description: Description, names: set[str]) -> dict[str, Variable]:
+    return {name: v for name, v in description.variables.items() if name in names}
+
+
+def _links(resolved: ResolvedSystem) -> Iterable[Link]:
+    return (*resolved.links, *resolved.discrete_links)
+
+
+def _add_connectors(component: etree._Element, variables: Mapping[str, Variable]) -> None:
+    if not variables:
+        return
+    connectors = _add(component, "ssd:Connectors")
+    for variable in variables.values():
+        connector = _add(connectors, "ssd:Connector", name=variable.name)
+        connector.set("kind", variable.causality)
+        _add(connector, f"ssc:{variable.type}")
+
+
+def _add_connections(system: etree._Element, resolved: ResolvedSystem) -> None:
+    links = list(_links(resolved))
+    if not links:
+        return
+    connections = _add(system, "ssd:Connections")
+    for link in links:
+        _add(
+            connections,
+            "ssd:Connection",
+            startElement=resolved.members[link.source].name,
+            startConnector=link.output.name,
+            endElement=resolved.members[link.target].name,
+            endConnector=link.input.name,
+        )
+
+
+def _parameter_set(start: Iterable[StartValue], archive: _Archive) -> bytes:
+    root = etree.Element(
+        tag("ssv:ParameterSet"), nsmap={"ssv": NAMESPACES["ssv"], "ssc": NAMESPACES["ssc"]}
+    )
+    root.set("version", _VERSION)
+    root.set("name", _PARAMETER_SET)
+    parameters = _add(root, "ssv:Parameters")
+    for item in start:
+        parameter = _add(parameters, "ssv:Parameter", name=item.variable.name)
+        value = _packed(item.value, archive)
+        _add(parameter, f"ssv:{item.variable.type}", value=value)
+    return _document(root)
+
+
+def _packed(value: object, archive: _Archive) -> str:
+    """A start value as text; a file that one names goes into the archive."""
+    if isinstance(value, str) and Path(value).is_file():
+        table = Path(value)
+        return archive.add(f"resources/{table.name}", table.read_bytes())
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float) and math.isinf(value):
+        return "INF" if value > 0.0 else "-INF"
+    return str(value)
+
+
+def _add_experiment(root: etree._Element, experiment: Experiment) -> None:
+    """The times; and the step in the annotation that libcosim reads."""
+    default = _add(root, "ssd:DefaultExperiment")
+    default.set("startTime", repr(experiment.start_time))
+    default.set("stopTime", repr(experiment.stop_time))
+    if experiment.step is not None and experiment.tolerance is None:
+        algorithm = _add(_annotation(default, "com.opensimulationplatform"), "osp:Algorithm")
+        _add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(experiment.step))
+
+
+def _beyond_ssp(scenario: Scenario, variant: Variant, experiment: Experiment) -> dict[str, object]:
+    """The tables of the scenario file that have no place in SSP 1.0."""
+    return {
+        "title": scenario.title,
+        "variants": [{"name": variant.name}],
+        "experiment": {key: v for key, v in asdict(experiment).items() if v is not None},
+        "metrics": {
+            m.name: {"metric": m.metric, "of": m.of, **m.options} for m in scenario.metrics
+        },
+        "figures": [
+            {key: v for key, v in asdict(figure).items() if v is not None}
+            for figure in scenario.figures
+        ],
+    }
+
+
+def _annotation(parent: etree._Element, kind: str) -> etree._Element:
+    return _add(_add(parent, "ssd:Annotations"), "ssc:Annotation", type=kind)
+
+
+def _document(root: etree._Element) -> bytes:
+    text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return text
