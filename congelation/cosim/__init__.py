@@ -9,7 +9,9 @@ SlavePool                         instances kept from one run to the next
 
 from congelation.cosim.coupling import COUPLINGS, Coupling, make_coupling
 from congelation.cosim.master import simulate
+from congelation.cosim.output import Output
 from congelation.cosim.pool import SlavePool
+from congelation.cosim.recorder import ParquetFile, Sink
 from congelation.cosim.result import Result, Statistics, Status
 from congelation.cosim.system import Component, Connection, System
 
@@ -18,7 +20,10 @@ __all__ = [
     "Component",
     "Connection",
     "Coupling",
+    "Output",
+    "ParquetFile",
     "Result",
+    "Sink",
     "SlavePool",
     "Statistics",
     "Status",

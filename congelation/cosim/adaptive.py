@@ -58,7 +58,6 @@ def run_adaptive(
                 size = size.refused(error, end - time)
         if event <= session.stop:
             session.cross(time, event)
-            session.record(event)
             time = event
             size = size.restarted(min(size.length, stepper.first_step()))
 
@@ -78,7 +77,7 @@ def _tried(
     smallest = SMALLEST_STEP * math.ulp(max(abs(time), abs(end)))
     try:
         error = stepper.attempt(time, end) / tolerance
-        session.ensemble.check(end)
+        session.ensemble.outputs.check(end)
     except (RunEnded, StepDiscarded):
         if end - time <= smallest:
             raise

@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.broyden import Broyden
-from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.graph import strong_components
+from congelation.cosim.outputs import NO_DERIVATIVE
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.system import derivative_name
 
@@ -101,17 +102,17 @@ class Exchange:
         SlaveError
         """
         ensemble = self._ensemble
-        ensemble.C[2:] = 0.0
+        ensemble.inputs.C[2:] = 0.0
         ensemble.copy_discrete()
         for block in self.blocks:
             self._read(block)
-            values = ensemble.Y[block.places]
+            values = ensemble.outputs.Y[block.places]
             self._send(block, values)
             if block.loop:
                 self._solve(block, values, time)
-        for m, read in enumerate(ensemble.read):
+        for m, read in enumerate(ensemble.outputs.read):
             read()
-            self.calls += ensemble.read_calls[m]
+            self.calls += ensemble.outputs.read_calls[m]
 
     def settle(self, time: float) -> None:
         """Run, and again while that changes anything: for initialisation, where an output may
@@ -127,8 +128,8 @@ class Exchange:
         before = np.full(len(places), np.nan)
         for _ in range(len(self._wires) + 2):
             self.run(time)
-            self._ensemble.check(time)
-            after = self._ensemble.Y[places]
+            self._ensemble.outputs.check(time)
+            after = self._ensemble.outputs.Y[places]
             if np.array_equal(before, after) or self._agree(after - before, after, self._wires):
                 return
             before = after
@@ -143,7 +144,7 @@ class Exchange:
         method = Broyden(len(z))
         for _ in range(MAX_ITERATIONS):
             self._read(block)
-            residual = self._ensemble.Y[block.places] - z
+            residual = self._ensemble.outputs.Y[block.places] - z
             if not np.isfinite(residual).all():
                 break
             if self._agree(residual, z, block.wires):
@@ -157,33 +158,33 @@ class Exchange:
         )
 
     def _agree(self, residual: Floats, z: Floats, wires: Sequence[Wire]) -> bool:
-        nominal = self._ensemble.nominal[[wire.link for wire in wires]]
+        nominal = self._ensemble.inputs.nominal[[wire.link for wire in wires]]
         return bool((np.abs(residual) <= LOOP_TOLERANCE * (nominal + np.abs(z))).all())
 
     def _read(self, block: Block) -> None:
         for m in block.sources:
-            self._ensemble.read[m]()
-            self.calls += self._ensemble.read_calls[m]
+            self._ensemble.outputs.read[m]()
+            self.calls += self._ensemble.outputs.read_calls[m]
 
     def _send(self, block: Block, values: Floats) -> None:
-        self._ensemble.C.reshape(-1)[block.slots] = values
+        self._ensemble.inputs.C.reshape(-1)[block.slots] = values
         for m in block.targets:
-            self._ensemble.write[m]()
-            self.calls += self._ensemble.write_calls[m]
+            self._ensemble.inputs.write[m]()
+            self.calls += self._ensemble.inputs.write_calls[m]
 
     def _names(self, block: Block) -> str:
-        names = dict.fromkeys(self._ensemble.links[wire.link].name for wire in block.wires)
+        names = dict.fromkeys(self._ensemble.inputs.links[wire.link].name for wire in block.wires)
         return ", ".join(names)
 
     def _all_names(self) -> str:
-        return ", ".join(link.name for link in self._ensemble.links)
+        return ", ".join(link.name for link in self._ensemble.inputs.links)
 
 
 def _wires(ensemble: Ensemble) -> list[Wire]:
-    values = [Wire(0, k, int(place)) for k, place in enumerate(ensemble.source)]
+    values = [Wire(0, k, int(place)) for k, place in enumerate(ensemble.inputs.source)]
     derivatives = [
         Wire(1, k, int(place))
-        for k, place in enumerate(ensemble.source_derivative)
+        for k, place in enumerate(ensemble.inputs.source_derivative)
         if place != NO_DERIVATIVE
     ]
     return values + derivatives
@@ -191,8 +192,8 @@ def _wires(ensemble: Ensemble) -> list[Wire]:
 
 def _follows(ensemble: Ensemble, first: Wire, second: Wire) -> bool:
     """Whether the value on `second` depends directly on the input that `first` sets."""
-    into, out = ensemble.links[first.link], ensemble.links[second.link]
-    if into.target != out.source or ensemble.order[first.link] < first.order:
+    into, out = ensemble.inputs.links[first.link], ensemble.inputs.links[second.link]
+    if into.target != out.source or ensemble.inputs.order[first.link] < first.order:
         return False
     known = ensemble.system.members[out.source].description.dependencies
     output = out.output.name if second.order == 0 else derivative_name(out.output.name, 1)
@@ -225,12 +226,13 @@ def _blocks(ensemble: Ensemble, wires: Sequence[Wire]) -> list[Block]:
 
 
 def _block(ensemble: Ensemble, wires: Sequence[Wire], *, loop: bool) -> Block:
-    links = [ensemble.links[wire.link] for wire in wires]
+    links = [ensemble.inputs.links[wire.link] for wire in wires]
+    count = len(ensemble.inputs.links)
     return Block(
         sources=tuple(sorted({link.source for link in links})),
         targets=tuple(sorted({link.target for link in links})),
         places=np.array([wire.place for wire in wires], np.intp),
-        slots=np.array([wire.order * len(ensemble.links) + wire.link for wire in wires], np.intp),
+        slots=np.array([wire.order * count + wire.link for wire in wires], np.intp),
         wires=tuple(wires),
         loop=loop,
     )

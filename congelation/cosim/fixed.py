@@ -59,5 +59,4 @@ def _land(session: Session, time: float, event: float, end: float, near: float) 
     else:
         before = time
     session.cross(before, after)
-    session.record(after)
     return after

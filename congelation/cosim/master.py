@@ -8,14 +8,14 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 
 import numpy as np
-import numpy.typing as npt
 
 from congelation.cosim.adaptive import run_adaptive
 from congelation.cosim.coupling import AdaptiveStepper, Coupling, make_coupling
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.fixed import run_fixed
+from congelation.cosim.output import Output
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.recorder import Recorder
+from congelation.cosim.recorder import Memory, Recorder
 from congelation.cosim.result import Result, RunEnded, Statistics, Status
 from congelation.cosim.session import Progress, Session
 from congelation.cosim.states import require_states
@@ -24,7 +24,8 @@ from congelation.errors import InvalidInput, SlaveError
 
 __all__ = ["simulate"]
 
-Floats = npt.NDArray[np.float64]
+SLAVE_SHARE = 1e-2
+"""Of the tolerance of a run, the part given to the FMUs' own integration."""
 
 
 def simulate(
@@ -37,6 +38,7 @@ def simulate(
     coupling: str | Coupling = "derivative",
     options: Mapping[str, object] | None = None,
     record: Sequence[str] | None = None,
+    output: Output | None = None,
     slave_tolerance: float | None = None,
     progress: Progress | None = None,
     pool: SlavePool | None = None,
@@ -62,8 +64,11 @@ def simulate(
     record : sequence of str, optional
         "component.variable"; a vector's name stands for all of its elements. By default every
         number among the outputs, der(.) and next_event left out.
+    output : Output, optional
+        Which rows are recorded, and where to; by default every communication point, in memory.
     slave_tolerance : float, optional
-        Relative tolerance given to the FMUs (fmi2SetupExperiment).
+        Relative tolerance given to the FMUs (fmi2SetupExperiment). By default a hundredth of
+        `tolerance`, and without one that of the FMUs.
     progress : callable, optional
         Called with the fraction done, from 0 to 1, about ten times a second.
     pool : SlavePool, optional
@@ -81,35 +86,35 @@ def simulate(
     """
     begin = clock.perf_counter()
     _check_times(start_time, stop_time, step, tolerance)
+    output = output or Output()
     chosen = _coupling(coupling, options)
     resolved = system.resolve()
     _check_states(resolved, chosen, tolerance)
     recorded = resolved.recorded(record)
-    blocks: list[Floats] = []
-    recorder = Recorder(len(recorded), blocks.append)
-    statistics = Statistics()
+    names = tuple(item.name for item in recorded)
+    memory = Memory()
+    recorder = Recorder(names, output.sink or memory)
+    outcome, statistics = (Status.COMPLETED, Status.COMPLETED.value), Statistics()
     with ExitStack() as stack:
+        stack.enter_context(recorder)
         lender = pool if pool is not None else stack.enter_context(SlavePool())
         try:
-            slaves = stack.enter_context(lender.lend(resolved.members))
             ensemble = Ensemble(
                 resolved,
-                slaves,
+                stack.enter_context(lender.lend(resolved.members)),
                 recorded,
                 derivatives=chosen.needs_derivatives,
+                slopes=output.interval is not None,
                 events=chosen.lands_on_events,
             )
-            session = Session(
-                ensemble, chosen, start_time, stop_time, tolerance, recorder, progress
-            )
-            status, message = _outcome(session, step, tolerance, slave_tolerance)
+            rows = output.rows(ensemble, recorder)
+            session = Session(ensemble, chosen, start_time, stop_time, tolerance, rows, progress)
+            outcome = _outcome(session, step, tolerance, slave_tolerance)
             statistics = session.statistics(clock.perf_counter() - begin)
         except SlaveError as error:
-            status, message = Status.SLAVE_FAILED, str(error)
-    recorder.finish()
-    rows = np.concatenate(blocks)
-    names = tuple(item.name for item in recorded)
-    return Result(status, message, rows[:, 0], names, rows[:, 1:], statistics)
+            outcome = (Status.SLAVE_FAILED, str(error))
+    table = memory.rows() if output.sink is None else recorder.last.reshape(-1, 1 + len(names))
+    return Result(*outcome, table[:, 0], names, table[:, 1:], statistics)
 
 
 def _outcome(
@@ -125,17 +130,21 @@ def _advanced(
     session: Session, step: float | None, tolerance: float | None, slave_tolerance: float | None
 ) -> tuple[Status, str]:
     try:
+        if slave_tolerance is None and tolerance is not None:
+            slave_tolerance = SLAVE_SHARE * tolerance
         session.initialise(slave_tolerance)
         stepper = session.stepper
         if tolerance is not None and isinstance(stepper, AdaptiveStepper):
             run_adaptive(session, stepper, tolerance, step)
         elif step is not None:
             run_fixed(session, step)
-    except RunEnded as end:
-        return end.status, end.message
-    except SlaveError as error:
+        session.finish(completed=True)
+        session.report(1.0)
+    except (RunEnded, SlaveError) as error:
+        session.finish(completed=False)
+        if isinstance(error, RunEnded):
+            return error.status, error.message
         return Status.SLAVE_FAILED, str(error)
-    session.report(1.0)
     return Status.COMPLETED, Status.COMPLETED.value
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
-from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -99,11 +98,9 @@ class Result:
     columns : tuple of str, length M
         "component.variable".
     values : array, shape (N, M)
-        Row k holds the values at time[k].
+        Row k holds the values at time[k]. Where a sink took the rows, `time` and `values` hold
+        the last one alone.
     statistics : Statistics
-    file : Path or None
-        Where the rows were written, if the run recorded to disk; `time` and `values` then hold
-        the last row alone.
     """
 
     status: Status
@@ -112,7 +109,6 @@ class Result:
     columns: tuple[str, ...]
     values: npt.NDArray[np.float64]
     statistics: Statistics
-    file: Path | None = None
 
     @property
     def completed(self) -> bool:

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from congelation.cosim.coupling import Coupling, Stepper
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
-from congelation.cosim.recorder import Recorder
 from congelation.cosim.result import Statistics
+from congelation.cosim.rows import Rows
 
 __all__ = ["Progress", "Session", "just_before"]
 
@@ -34,7 +34,7 @@ class Session:
         Seconds.
     tolerance : float or None
         For the step control.
-    recorder : Recorder
+    rows : Rows
     progress : callable or None
         Called with the fraction done, about ten times a second.
 
@@ -55,7 +55,7 @@ class Session:
         start: float,
         stop: float,
         tolerance: float | None,
-        recorder: Recorder,
+        rows: Rows,
         progress: Progress | None,
     ) -> None:
         self.ensemble = ensemble
@@ -64,7 +64,8 @@ class Session:
         self._exchange = Exchange(ensemble)
         self._coupling = coupling
         self._tolerance = tolerance
-        self._recorder = recorder
+        self._rows = rows
+        self._time = start
         self._progress = progress
         self._next_report = 0.0
         self._is_initialised = False
@@ -92,17 +93,19 @@ class Session:
             slave.require_no_error()
             slave.exit_initialization()
             slave.require_no_error()
-        ensemble.read_all()
-        ensemble.check(self.start)
+        ensemble.outputs.read_all()
+        ensemble.outputs.check(self.start)
         self._exchange.calls = 0
         self.stepper = self._coupling.stepper(ensemble, self._exchange, self._tolerance)
         self.stepper.start(self.start)
         self._is_initialised = True
-        ensemble.fill(self._recorder.row(self.start))
+        self._rows.start(self.start)
 
     def next_event(self, time: float) -> float:
         """The first announced jump after `time` on which a communication point is placed."""
-        return self.ensemble.next_event(time) if self._coupling.lands_on_events else math.inf
+        if not self._coupling.lands_on_events:
+            return math.inf
+        return self.ensemble.outputs.next_event(time)
 
     def cross(self, before: float, after: float) -> None:
         """Step over a jump that lies between two neighbouring points of time.
@@ -111,20 +114,34 @@ class Session:
         inputs are made to agree anew.
         """
         ensemble = self.ensemble
-        ensemble.C[0] = ensemble.Y[ensemble.source]
-        ensemble.C[1:] = 0.0
-        for write in ensemble.write:
+        ensemble.outputs.check(before)
+        self._rows.before_jump(before)
+        ensemble.inputs.C[0] = ensemble.outputs.Y[ensemble.inputs.source]
+        ensemble.inputs.C[1:] = 0.0
+        for write in ensemble.inputs.write:
             write()
         for slave in ensemble.slaves:
             slave.step(before, after - before)
         self._exchange.run(after)
         self.stepper.start(after)
         self.events += 1
+        ensemble.outputs.check(after)
+        self._rows.after_jump(after)
+        self._count(after)
 
     def record(self, time: float) -> None:
         """Check and record what was read at a communication point."""
-        self.ensemble.check(time)
-        self.ensemble.fill(self._recorder.row(time))
+        self.ensemble.outputs.check(time)
+        self._rows.point(time)
+        self._count(time)
+
+    def finish(self, *, completed: bool) -> None:
+        """Record what is still to be recorded."""
+        if self._is_initialised:
+            self._rows.finish(self._time, completed=completed)
+
+    def _count(self, time: float) -> None:
+        self._time = time
         self.steps += 1
         if self._progress is not None and clock.monotonic() >= self._next_report:
             self.report((time - self.start) / (self.stop - self.start))

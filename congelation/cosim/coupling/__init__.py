@@ -11,6 +11,7 @@ from congelation.cosim.coupling.derivative import Derivative
 from congelation.cosim.coupling.gauss_seidel import GaussSeidel
 from congelation.cosim.coupling.hermite import Hermite
 from congelation.cosim.coupling.jacobi import Jacobi
+from congelation.cosim.coupling.sampled import Sampled
 from congelation.errors import InvalidInput, nearest
 
 __all__ = [
@@ -21,12 +22,13 @@ __all__ = [
     "GaussSeidel",
     "Hermite",
     "Jacobi",
+    "Sampled",
     "Stepper",
     "make_coupling",
 ]
 
 COUPLINGS: Mapping[str, type[Coupling]] = MappingProxyType(
-    {kind.name: kind for kind in (Jacobi, GaussSeidel, Derivative, Hermite)}
+    {kind.name: kind for kind in (Jacobi, GaussSeidel, Derivative, Hermite, Sampled)}
 )
 """Every coupling by its name."""
 
@@ -42,9 +44,17 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
     if name not in COUPLINGS:
         raise InvalidInput(f"coupling '{name}'; {nearest(name, COUPLINGS)}")
     kind = COUPLINGS[name]
-    known = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]  # all are
-    for option in options or {}:
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]  # every coupling is a dataclass
+    known = [field.name for field in fields]
+    given = dict(options or {})
+    for option in given:
         if option not in known:
             hint = nearest(option, known) if known else "it takes no options"
             raise InvalidInput(f"coupling '{name}': no option '{option}'; {hint}")
-    return kind(**dict(options or {}))
+    for field in fields:
+        if field.default is dataclasses.MISSING and field.name not in given:
+            raise InvalidInput(f"coupling '{name}' needs the option '{field.name}'")
+    try:
+        return kind(**given)
+    except (TypeError, ValueError) as error:
+        raise InvalidInput(f"coupling '{name}': {error}") from error

@@ -83,21 +83,13 @@ class _DerivativeStepper(AdaptiveStepper):
         # Loops are solved at every communication point; for plain feedthrough the sequence of
         # the slaves already carries the values over.
         self._exchanges = bool(exchange.loops) or (exchange.feedthrough and not sequential)
-        self._cubic = ensemble.order == 3
+        self._cubic = ensemble.inputs.order == 3
         self._ahead = [
-            np.array(
-                [
-                    sequential and part.start <= k < part.stop and ensemble.links[k].source < m
-                    for k in range(len(ensemble.links))
-                ],
-                bool,
-            )
-            for m, part in enumerate(ensemble.columns)
+            np.array([sequential and k.source < k.target == m for k in ensemble.inputs.links], bool)
+            for m in range(len(ensemble.slaves))
         ]
         self._interpolates = [bool(mask.any()) for mask in self._ahead]
-        self._calls_per_sweep = (
-            sum(ensemble.write_calls) + len(ensemble.slaves) + sum(ensemble.read_calls)
-        )
+        self._calls_per_sweep = ensemble.calls_per_sweep
         self._error = 0.0
         self.sweeps = 0
         self.estimated_error = 0.0
@@ -121,17 +113,17 @@ class _DerivativeStepper(AdaptiveStepper):
         ensemble, ends = self._ensemble, self._ends
         length = end - time
         ends.open(end)
-        ensemble.C[:2] = ends.w[:2]
-        ensemble.C[2:] = 0.0
+        ensemble.inputs.C[:2] = ends.w[:2]
+        ensemble.inputs.C[2:] = 0.0
         for m, slave in enumerate(ensemble.slaves):
             if self._interpolates[m]:
                 self._interpolate(self._ahead[m], length)
-            ensemble.write[m]()
+            ensemble.inputs.write[m]()
             slave.step(time, length, self._checkpoint is None)
             if self._sequential:
-                ensemble.read[m]()
+                ensemble.outputs.read[m]()
         if not self._sequential:
-            ensemble.read_all()
+            ensemble.outputs.read_all()
         if self._exchanges:
             self._exchange.run(end)
         self.sweeps += 1
@@ -139,7 +131,7 @@ class _DerivativeStepper(AdaptiveStepper):
 
     def _interpolate(self, links: npt.NDArray[np.bool_], length: float) -> None:
         """Between both ends of the step: the sources of these links have stepped already."""
-        ends, C = self._ends, self._ensemble.C
+        ends, C = self._ends, self._ensemble.inputs.C
         ends.read()
         ends.w[2:] = ends.new
         np.copyto(C[1], (ends.new[0] - ends.w[0]) / length, where=links & ~self._cubic)
@@ -150,7 +142,8 @@ class _DerivativeStepper(AdaptiveStepper):
         ends.read()
         if ends.new.size:
             distance = np.abs(ends.w[0] + length * ends.w[1] - ends.new[0])
-            self._error = float((distance / (self._ensemble.nominal + np.abs(ends.new[0]))).max())
+            size = self._ensemble.inputs.nominal + np.abs(ends.new[0])
+            self._error = float((distance / size).max())
 
     def accept(self) -> None:
         self._ends.close()

@@ -9,7 +9,8 @@ import numpy.typing as npt
 
 from congelation.cosim.coupling.history import History
 from congelation.cosim.coupling.polynomial import extrapolation
-from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.ensemble import Ensemble
+from congelation.cosim.outputs import NO_DERIVATIVE
 
 __all__ = ["Ends"]
 
@@ -36,11 +37,11 @@ class Ends:
     """
 
     def __init__(self, ensemble: Ensemble) -> None:
-        count = len(ensemble.links)
-        self._Y = ensemble.Y
-        self._places = np.vstack([ensemble.source, ensemble.source_derivative])
-        self._nominal = ensemble.nominal
-        self._inexact = np.flatnonzero(ensemble.source_derivative == NO_DERIVATIVE)
+        count = len(ensemble.inputs.links)
+        self._Y = ensemble.outputs.Y
+        self._places = np.vstack([ensemble.inputs.source, ensemble.inputs.source_derivative])
+        self._nominal = ensemble.inputs.nominal
+        self._inexact = np.flatnonzero(ensemble.inputs.source_derivative == NO_DERIVATIVE)
         self._history = History(len(self._inexact))
         # Values, then derivatives, at the last points, the newest last.
         self._past: Floats = np.zeros((2, 0, count))

@@ -30,14 +30,14 @@ class Feedback:
     """
 
     def __init__(self, ensemble: Ensemble, ends: Ends, accelerate: bool) -> None:
-        back = [k for k, link in enumerate(ensemble.links) if link.source >= link.target]
-        count = len(ensemble.links)
-        self._links = [ensemble.links[k] for k in back]
+        back = [k for k, link in enumerate(ensemble.inputs.links) if link.source >= link.target]
+        count = len(ensemble.inputs.links)
+        self._links = [ensemble.inputs.links[k] for k in back]
         self._start = np.array(back, np.intp)
         self._given = np.array([row * count + k for row in (2, 3) for k in back], np.intp)
         self._found = np.array([row * count + k for row in (0, 1) for k in back], np.intp)
         self._w, self._new = ends.w.reshape(-1), ends.new.reshape(-1)
-        self._nominal = ensemble.nominal[back]
+        self._nominal = ensemble.inputs.nominal[back]
         self._method = Broyden(2 * len(back)) if accelerate and back else None
         # The step for which the Jacobian holds.
         self._length = 0.0

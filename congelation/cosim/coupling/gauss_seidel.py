@@ -41,12 +41,12 @@ class _GaussSeidelStepper(Stepper):
     def __init__(self, ensemble: Ensemble) -> None:
         self._ensemble = ensemble
         self._slaves = [
-            (ensemble.hold[m], slave.step, ensemble.read[m])
+            (ensemble.inputs.hold[m], slave.step, ensemble.outputs.read[m])
             for m, slave in enumerate(ensemble.slaves)
         ]
         self._discrete = bool(ensemble.system.discrete_links)
-        held = sum(map(bool, ensemble.write_calls))
-        self._calls_per_sweep = held + len(self._slaves) + sum(ensemble.read_calls)
+        held = sum(map(bool, ensemble.inputs.write_calls))
+        self._calls_per_sweep = held + len(self._slaves) + sum(ensemble.outputs.read_calls)
         self._error = HeldError(ensemble)
         self.sweeps = 0
 

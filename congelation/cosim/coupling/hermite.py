@@ -115,18 +115,17 @@ class _HermiteStepper(AdaptiveStepper):
         self._is_saved = False
         self._ends = Ends(ensemble)
         self._feedback = Feedback(ensemble, self._ends, coupling.acceleration == "broyden")
-        links = ensemble.links
+        links = ensemble.inputs.links
         self._forward = [
             np.array([link.source == m < link.target for link in links], bool)
             for m in range(len(ensemble.slaves))
         ]
         self._feeds = [bool(mask.any()) for mask in self._forward]
-        self._low = [np.flatnonzero(ensemble.order == order) for order in range(3)]
+        order = ensemble.inputs.order
+        self._low = [np.flatnonzero(order == k) for k in range(3)]
         self._is_low = any(part.size for part in self._low)
-        self._held = [bool((ensemble.order[part] == 0).any()) for part in ensemble.columns]
-        self._calls_per_sweep = (
-            sum(ensemble.write_calls) + len(ensemble.slaves) + sum(ensemble.read_calls)
-        ) + 2 * sum(self._held)
+        self._held = [bool((order[part] == 0).any()) for part in ensemble.inputs.columns]
+        self._calls_per_sweep = ensemble.calls_per_sweep + 2 * sum(self._held)
         self._error = 0.0
         self.sweeps = 0
         self.estimated_error = 0.0
@@ -173,7 +172,7 @@ class _HermiteStepper(AdaptiveStepper):
             change = self._feedback.change()
             if not math.isfinite(change):
                 if count == 1:
-                    self._ensemble.check(time + length)
+                    self._ensemble.outputs.check(time + length)
                 return False
             if wanted is not None:
                 self._feedback.take_over()
@@ -187,12 +186,12 @@ class _HermiteStepper(AdaptiveStepper):
         """All slaves once over the step, with the inputs' ends as they are known by now."""
         ensemble, ends = self._ensemble, self._ends
         for m, slave in enumerate(ensemble.slaves):
-            np.dot(polynomial, ends.w, out=ensemble.C)
+            np.dot(polynomial, ends.w, out=ensemble.inputs.C)
             if self._is_low:
                 self._lower(length)
-            ensemble.write[m]()
+            ensemble.inputs.write[m]()
             slave.step(time, length, self._checkpoint is None)
-            ensemble.read[m]()
+            ensemble.outputs.read[m]()
             if self._held[m]:
                 self._reach_end(m)
             ends.read()
@@ -202,7 +201,7 @@ class _HermiteStepper(AdaptiveStepper):
 
     def _lower(self, length: float) -> None:
         """Polynomials for inputs that take fewer than three derivatives."""
-        C, w = self._ensemble.C, self._ends.w
+        C, w = self._ensemble.inputs.C, self._ends.w
         held, linear, quadratic = self._low
         mean = (w[0] + w[2]) / 2.0 + (w[1] - w[3]) * (length / 12.0)
         C[0, held] = mean[held]
@@ -213,10 +212,10 @@ class _HermiteStepper(AdaptiveStepper):
     def _reach_end(self, m: int) -> None:
         """Outputs of a slave with held inputs, for the inputs' values at the end of the step."""
         ensemble = self._ensemble
-        ensemble.C[0] = self._ends.w[2]
-        ensemble.C[1:] = 0.0
-        ensemble.write[m]()
-        ensemble.read[m]()
+        ensemble.inputs.C[0] = self._ends.w[2]
+        ensemble.inputs.C[1:] = 0.0
+        ensemble.inputs.write[m]()
+        ensemble.outputs.read[m]()
 
     def accept(self) -> None:
         self._ends.close()

@@ -41,11 +41,11 @@ class _JacobiStepper(Stepper):
     def __init__(self, ensemble: Ensemble) -> None:
         slaves = range(len(ensemble.slaves))
         self._ensemble = ensemble
-        self._hold = [ensemble.hold[m] for m in slaves if ensemble.write_calls[m]]
+        self._hold = [ensemble.inputs.hold[m] for m in slaves if ensemble.inputs.write_calls[m]]
         self._step = [slave.step for slave in ensemble.slaves]
-        self._read = [ensemble.read[m] for m in slaves if ensemble.read_calls[m]]
+        self._read = [ensemble.outputs.read[m] for m in slaves if ensemble.outputs.read_calls[m]]
         self._discrete = bool(ensemble.system.discrete_links)
-        self._calls_per_sweep = len(self._hold) + len(self._step) + sum(ensemble.read_calls)
+        self._calls_per_sweep = len(self._hold) + len(self._step) + sum(ensemble.outputs.read_calls)
         self._error = HeldError(ensemble)
         self.sweeps = 0
 

@@ -29,10 +29,10 @@ class HeldError:
     """
 
     def __init__(self, ensemble: Ensemble) -> None:
-        self._Y = ensemble.Y
-        self._source = ensemble.source
-        self._nominal = ensemble.nominal
-        self._rows: Floats = np.zeros((WATCHED_ROWS, len(ensemble.links)))
+        self._Y = ensemble.outputs.Y
+        self._source = ensemble.inputs.source
+        self._nominal = ensemble.inputs.nominal
+        self._rows: Floats = np.zeros((WATCHED_ROWS, len(ensemble.inputs.links)))
         self._count = 0
         self.largest = 0.0
 

@@ -1,0 +1,182 @@
+"""Which rows of a run are recorded: every n-th communication point, or a grid of its own."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.cosim.coupling.history import differentiation
+from congelation.cosim.ensemble import Ensemble
+from congelation.cosim.recorder import Recorder
+
+__all__ = ["EveryStep", "OutputGrid", "Rows"]
+
+Floats = npt.NDArray[np.float64]
+
+INTERPOLATION_NODES = 4
+"""Values without derivatives are interpolated by cubics, as those with derivatives are."""
+
+GRID_ROUNDING = 1e-9
+"""A communication point this near to a grid point, in grid intervals, is taken for it."""
+
+
+class Rows(ABC):
+    """Takes communication points as they are reached, and records rows."""
+
+    @abstractmethod
+    def start(self, time: float) -> None:
+        """The start time; outputs are read."""
+
+    @abstractmethod
+    def point(self, time: float) -> None:
+        """A communication point."""
+
+    @abstractmethod
+    def before_jump(self, time: float) -> None:
+        """The last point before a jump, with the values from the left."""
+
+    @abstractmethod
+    def after_jump(self, time: float) -> None:
+        """The jump, with the values from the right."""
+
+    @abstractmethod
+    def finish(self, time: float, *, completed: bool) -> None:
+        """Nothing will follow the point at `time`; what is read now counts only if `completed`."""
+
+
+class EveryStep(Rows):
+    """Every n-th communication point, the first, the jumps and the last.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    recorder : Recorder
+    every : int
+        n.
+    """
+
+    def __init__(self, ensemble: Ensemble, recorder: Recorder, every: int) -> None:
+        self._ensemble = ensemble
+        self._recorder = recorder
+        self._every = every
+        self._left = 0
+
+    def start(self, time: float) -> None:
+        self._record(time)
+
+    def point(self, time: float) -> None:
+        if self._left:
+            self._left -= 1
+        else:
+            self._record(time)
+
+    def before_jump(self, time: float) -> None:
+        """The row of a jump holds the values from the right."""
+
+    def after_jump(self, time: float) -> None:
+        self._record(time)
+
+    def finish(self, time: float, *, completed: bool) -> None:
+        if completed and self._left < self._every - 1:
+            self._record(time)
+
+    def _record(self, time: float) -> None:
+        self._left = self._every - 1
+        self._ensemble.fill(self._recorder.row(time))
+
+
+class OutputGrid(Rows):
+    """The points t_0 + k dt and the last one, whatever the communication points are.
+
+    Between two communication points, a variable whose derivative is read follows the cubic
+    through values and derivatives at both; any other the cubic through the two and their
+    neighbours on either side. Jumps are not interpolated across.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    recorder : Recorder
+    interval : float
+        dt in seconds.
+    """
+
+    def __init__(self, ensemble: Ensemble, recorder: Recorder, interval: float) -> None:
+        self._ensemble = ensemble
+        self._recorder = recorder
+        self._interval = interval
+        self._smooth, self._slopes = ensemble.smooth_columns()
+        self._width = ensemble.width
+        self._first = 0.0
+        self._count = 0
+        self._times: list[float] = []
+        self._values: list[Floats] = []
+        self._derivatives: list[Floats] = []
+
+    def start(self, time: float) -> None:
+        self._first = time
+        self._begin(time)
+
+    def point(self, time: float) -> None:
+        self._add(time)
+        if len(self._times) == INTERPOLATION_NODES:
+            # One point late, so that an interval has its neighbour on the right.
+            self._emit(INTERPOLATION_NODES - 2)
+
+    def before_jump(self, time: float) -> None:
+        if time > self._times[-1]:
+            self.point(time)
+        self._close()
+
+    def after_jump(self, time: float) -> None:
+        self._begin(time)
+
+    def finish(self, time: float, *, completed: bool) -> None:
+        self._close()
+        self._recorder.row(self._times[-1])[:] = self._values[-1]
+
+    def _begin(self, time: float) -> None:
+        self._times, self._values, self._derivatives = [], [], []
+        self._add(time)
+
+    def _add(self, time: float) -> None:
+        row = np.empty(self._width)
+        self._ensemble.fill(row)
+        keep = INTERPOLATION_NODES - 1
+        self._times = [*self._times[-keep:], time]
+        self._values = [*self._values[-keep:], row]
+        self._derivatives = [*self._derivatives[-keep:], self._ensemble.outputs.Y[self._slopes]]
+
+    def _close(self) -> None:
+        """What is left: nothing smooth follows on the right."""
+        self._emit(len(self._times) - 1)
+
+    def _grid_point(self) -> float:
+        return self._first + self._count * self._interval
+
+    def _emit(self, count: int) -> None:
+        """Rows at the grid points in the first `count` intervals that have none yet."""
+        for k in range(count):
+            end = self._times[k + 1] - GRID_ROUNDING * self._interval
+            while (time := self._grid_point()) < end:
+                self._recorder.row(time)[:] = self._at(time, k)
+                self._count += 1
+
+    def _at(self, time: float, k: int) -> Floats:
+        """The recorded values, shape (M,), at a time in interval k."""
+        if abs(time - self._times[k]) <= GRID_ROUNDING * self._interval:
+            return self._values[k]
+        weights, _ = differentiation(np.array(self._times), time)
+        row: Floats = weights @ np.array(self._values)
+        t0, t1 = self._times[k], self._times[k + 1]
+        h = t1 - t0
+        s = (time - t0) / h
+        v0, v1 = self._values[k][self._smooth], self._values[k + 1][self._smooth]
+        d0, d1 = self._derivatives[k], self._derivatives[k + 1]
+        row[self._smooth] = (
+            (1.0 + 2.0 * s) * (1.0 - s) ** 2 * v0
+            + s**2 * (3.0 - 2.0 * s) * v1
+            + h * s * (1.0 - s) * ((1.0 - s) * d0 - s * d1)
+        )
+        return row

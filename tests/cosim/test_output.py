@@ -1,0 +1,170 @@
+"""Which rows are kept, and where."""
+
+import numpy as np
+import pyarrow.parquet
+import pytest
+
+from congelation.cosim import Component, Output, ParquetFile, Status, System, simulate
+from congelation.cosim.recorder import BLOCK_ROWS
+from congelation.errors import InvalidInput
+
+from .monolithic import order, solution
+
+RECORD = ["plant.x", "controller.q"]
+
+
+def test_every_nth_point_the_first_and_the_last_are_kept(loop):
+    whole = simulate(loop(), stop_time=1.05, step=0.1)
+    thinned = simulate(loop(), stop_time=1.05, step=0.1, output=Output(every=4))
+    kept = [0, 4, 8, 11]
+    assert thinned.time.tolist() == whole.time[kept].tolist()
+    assert np.array_equal(thinned.values, whole.values[kept])
+    assert thinned.statistics.macro_steps == whole.statistics.macro_steps
+
+
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {"coupling": "hermite", "tolerance": 1e-7},
+        {"coupling": "hermite", "step": 0.03},
+        {"coupling": "derivative", "step": 0.001},
+    ],
+)
+@pytest.mark.parametrize("interval", [0.01, 0.0625, 0.5])
+def test_an_output_grid_is_filled_from_whatever_steps_are_made(loop, kwargs, interval):
+    result = simulate(
+        loop({"a": 1.0}), stop_time=3.0, record=RECORD, output=Output(interval=interval), **kwargs
+    )
+    assert result.completed
+    assert result.time == pytest.approx(np.arange(round(3.0 / interval) + 1) * interval)
+    assert result.time[-1] == 3.0
+    error = np.abs(result.values - solution(result.time, a=1.0)).max(axis=0)
+    assert (error < 3e-5).all()
+
+
+def test_dense_output_is_of_the_order_of_the_coupling(loop):
+    steps = (0.1, 0.05, 0.025)
+    errors = []
+    for step in steps:
+        result = simulate(
+            loop(),
+            stop_time=3.0,
+            record=RECORD,
+            step=step,
+            coupling="hermite",
+            output=Output(interval=0.007),
+        )
+        errors.append(np.abs(result.values - solution(result.time)).max(axis=0))
+    for column in np.array(errors).T:
+        assert order(steps, column) > 3.3
+
+
+def test_grid_points_that_are_communication_points_are_taken_as_they_are(loop):
+    whole = simulate(loop(), stop_time=1.0, step=0.1, coupling="hermite", record=RECORD)
+    grid = simulate(
+        loop(),
+        stop_time=1.0,
+        step=0.1,
+        coupling="hermite",
+        record=RECORD,
+        output=Output(interval=0.2),
+    )
+    assert np.array_equal(grid.values, whole.values[::2])
+
+
+def test_the_last_point_is_recorded_beside_the_grid(loop):
+    result = simulate(loop(), stop_time=1.0, step=0.25, output=Output(interval=0.3))
+    assert result.time.tolist() == pytest.approx([0.0, 0.3, 0.6, 0.9, 1.0])
+
+
+def test_a_jump_is_not_interpolated_across(loop):
+    result = simulate(
+        loop({"a": 1.0}),
+        stop_time=1.0,
+        step=0.05,
+        coupling="hermite",
+        record=["plant.der(x[2])", "plant.x"],
+        output=Output(interval=0.01),
+    )
+    slope = np.gradient(result.values[:, 2], result.time)
+    away = np.abs(result.time - 0.65) > 0.015
+    inside = slice(1, -1)
+    assert result.values[inside, 0][away[inside]] == pytest.approx(
+        slope[inside][away[inside]], abs=5e-3
+    )
+
+
+def test_a_failing_run_keeps_its_grid_rows(fmus):
+    system = System((Component("f", fmus / "TestFaulty.fmu", {"mode": 1.0, "at": 0.5}),))
+    result = simulate(system, stop_time=1.0, step=0.125, output=Output(interval=0.0625))
+    assert result.status is Status.SLAVE_FAILED
+    assert result.time == pytest.approx(np.arange(9) * 0.0625)
+
+
+def test_a_file_holds_what_memory_would(loop, tmp_path):
+    path = tmp_path / "run.parquet"
+    kept = simulate(loop(), stop_time=1.0, step=5e-5, coupling="jacobi")
+    written = simulate(
+        loop(), stop_time=1.0, step=5e-5, coupling="jacobi", output=Output(sink=ParquetFile(path))
+    )
+    table = pyarrow.parquet.read_table(path)
+    assert table.column_names == ["time", *kept.columns]
+    assert np.array_equal(table["time"].to_numpy(), kept.time)
+    for name in kept.columns:
+        assert np.array_equal(table[name].to_numpy(), kept.column(name))
+    assert len(kept.time) > 2 * BLOCK_ROWS
+    assert pyarrow.parquet.ParquetFile(path).num_row_groups == 3
+    assert np.array_equal(written.values[0], kept.values[-1])
+    assert not list(tmp_path.glob("*.part"))
+
+
+def test_a_broken_off_run_leaves_a_part(loop, tmp_path):
+    path = tmp_path / "run.parquet"
+
+    def interrupt(fraction):
+        if fraction > 0.0:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        simulate(
+            loop(),
+            stop_time=1.0,
+            step=0.01,
+            output=Output(sink=ParquetFile(path)),
+            progress=interrupt,
+        )
+    assert not path.exists()
+    assert pyarrow.parquet.read_table(path.with_name("run.parquet.part")).num_rows >= 1
+
+
+@pytest.mark.slow
+def test_a_long_run_to_disk_needs_no_more_memory_than_a_short_one(fmus, tmp_path):
+    import tracemalloc
+
+    system = System((Component("g", fmus / "TestGain.fmu"),))
+    peaks = []
+    for steps in (2 * BLOCK_ROWS, 8 * BLOCK_ROWS):
+        tracemalloc.start()
+        simulate(
+            system,
+            stop_time=1e-3 * steps,
+            step=1e-3,
+            coupling="jacobi",
+            output=Output(sink=ParquetFile(tmp_path / f"{steps}.parquet")),
+        )
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert peaks[1] < 1.1 * peaks[0]
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "message"),
+    [
+        ({"every": 0}, "at least 1"),
+        ({"interval": 0.0}, "must be positive"),
+        ({"interval": 0.1, "every": 2}, "give one of the two"),
+    ],
+)
+def test_outputs_are_checked(kwargs, message):
+    with pytest.raises(InvalidInput, match=message):
+        Output(**kwargs)
