@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from congelation.theory.certificate import PerturbationSet
 from congelation.theory.closed_loop import Segment, close
+from congelation.theory.gains import iss_riccati, iss_weight
 from congelation.theory.lyapunov import output_feedback_certificate, state_feedback_certificate
 from congelation.theory.observer_form import observer_form_plant
 from congelation.theory.output_feedback import output_feedback_controller
@@ -63,6 +64,20 @@ def test_rate_at_the_worst_delta_is_the_rate_of_V_along_the_loop():
     assert (-3 * V[0] + 4 * V[1] - V[2]) / (2 * h) == pytest.approx(margin.rate, rel=1e-5)
     assert margin.value == margin.rate + margin.claimed
     assert np.linalg.norm(margin.Delta) == pytest.approx(math.sqrt(2))
+
+
+def test_V_of_the_output_feedback_design_by_hand():
+    """At z = 0 and exact estimates V is the weight times r^2 x_tilde^T X^-1 x_tilde."""
+    parameters = {"d": [0.2, 0.5], "r": 4.0, "epsilon": 0.5, "delta": 0.75, "delta_1": 0.3}
+    loop = close(observer_form_plant(), output_feedback_controller(), parameters)
+    ell = np.array([2.0, -1.0, 0.5])
+    names = {"controller.rho_hat": 0.5, "plant.x[2]": 1.5}
+    names |= {f"controller.theta_hat[{k + 1}]": value for k, value in enumerate(ell)}
+    X = [names.get(name, 0.0) for name in loop.state_names]
+    P = 16 * np.linalg.inv(iss_riccati(4.0, iss_weight(2, 0.5)))
+    V_x_tilde = 1.5**2 * P[1, 1]
+    weight = (1 / (4 * 0.2) + 1 / (4 * 0.5)) * (1 + 0.3 / (4 * 0.5 * 0.75))
+    assert pytest.approx(weight * V_x_tilde) == output_feedback_certificate(loop).at(X, ell).V
 
 
 def test_V_falls_along_a_run_with_jumps():

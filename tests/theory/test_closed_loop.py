@@ -123,6 +123,14 @@ def test_pieces_join_at_the_jumps():
     assert whole.time == pytest.approx(np.linspace(0, 2.6, 1001))
 
 
+def test_a_time_at_a_jump_is_reported_once():
+    loop, _ = figure_2(1, end=0.1)
+    times = [0.0, HALF_PERIOD, 1.0, 2 * HALF_PERIOD]
+    solution = loop.solve(variations(1.3), loop.start(), times)
+    assert solution.time.tolist() == times
+    assert solution.states.shape == (4, 4)
+
+
 def test_scalar_loop_against_its_own_equations():
     parameters = {"k_bar": 1.0, "gamma": 2.0, "epsilon": 0.5, "delta": 1.0}
     loop = close(scalar_plant(), scalar_controller(), parameters)

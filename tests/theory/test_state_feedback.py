@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 
 from congelation.errors import InvalidInput
+from congelation.theory.adaptation import gradient, robust
 from congelation.theory.closed_loop import close
 from congelation.theory.lyapunov import state_feedback_certificate
 from congelation.theory.state_feedback import (
@@ -17,6 +18,7 @@ from congelation.theory.state_feedback import (
     state_feedback_model,
 )
 from congelation.theory.strict_feedback import SYSTEM_60, strict_feedback_plant
+from congelation.theory.values import complete_values
 
 from .systems import (
     numbers,
@@ -129,15 +131,21 @@ def assert_product(matrix, vector, expected):
     assert (np.abs(matrix @ vector - expected) <= rounding).all()
 
 
+LEAKING = {"sigma": 0.4, "projection_ball": 1.0, "theta_bound": 0.5, "dead_zone": 0.1}
+
+
+@pytest.mark.parametrize("law", [gradient, robust])
 @given(order=orders, seed=seeds)
-@settings(max_examples=40)
-def test_lemma_1(order, seed):
-    """w_i = sum_j wbar_{i,j} z_j and x = T z, with wbar and T lower triangular."""
+@settings(max_examples=25)
+def test_lemma_1(law, order, seed):
+    """w_i = sum_j wbar_{i,j} z_j and x = T z, with wbar and T lower triangular; so too where the
+    law of the estimates has a drift that no z_j multiplies."""
     n, p = order
     rng = np.random.default_rng(seed)
-    design = state_feedback_design(random_phibar(rng, n, p))
+    design = state_feedback_design(random_phibar(rng, n, p), law)
     model = state_feedback_model(design)
-    values = random_state_feedback_parameters(rng, n, p) | random_state(rng, model)
+    given = random_state_feedback_parameters(rng, n, p) | (LEAKING if law is robust else {})
+    values = complete_values(model, given) | random_state(rng, model)
     z, W, T, *wbar = numbers(
         model,
         [design.z, design.W, ca.vertcat(*(s.T for s in design.steps))]
