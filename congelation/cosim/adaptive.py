@@ -21,6 +21,9 @@ FIRST_SHARE = 1e-2
 SMALLEST_STEP = 16.0
 """In units in the last place of time: below it, time does not resolve a step."""
 
+SMALLEST_SHARE = 1e-15
+"""Of the horizon: the same near t = 0, where doubles resolve times of no meaning."""
+
 
 def run_adaptive(
     session: Session, stepper: AdaptiveStepper, tolerance: float, first_step: float | None
@@ -33,7 +36,8 @@ def run_adaptive(
     Raises
     ------
     RunEnded
-        STEP_TOO_SMALL, or what the smallest step ended with.
+        STEP_TOO_SMALL or NOT_CONVERGED, which name the connection, or what the smallest step
+        ended with.
     SlaveError
     """
     horizon = session.stop - session.start
@@ -74,7 +78,10 @@ def _tried(
     session: Session, stepper: AdaptiveStepper, time: float, end: float, tolerance: float
 ) -> float:
     """The scaled error of a step; infinity where it could not be made."""
-    smallest = SMALLEST_STEP * math.ulp(max(abs(time), abs(end)))
+    smallest = max(
+        SMALLEST_STEP * math.ulp(max(abs(time), abs(end))),
+        SMALLEST_SHARE * (session.stop - session.start),
+    )
     try:
         error = stepper.attempt(time, end) / tolerance
         session.ensemble.outputs.check(end)
@@ -83,8 +90,10 @@ def _tried(
             raise
         return math.inf
     if error > 1.0 and end - time <= smallest:
+        status = Status.STEP_TOO_SMALL if math.isfinite(error) else Status.NOT_CONVERGED
         raise RunEnded(
-            Status.STEP_TOO_SMALL,
-            f"at t = {time:.9g} a step of {end - time:.3g} s still misses the tolerance",
+            status,
+            f"at t = {time:.9g} a step of {end - time:.3g} s is still too long for the connection "
+            f"{stepper.worst()}",
         )
     return error

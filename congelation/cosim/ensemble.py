@@ -88,6 +88,11 @@ class Ensemble:
         inputs, outputs = sum(self.inputs.write_calls), sum(self.outputs.read_calls)
         return inputs + len(self.slaves) + outputs
 
+    @property
+    def moves_derivatives(self) -> bool:
+        """Whether some are moved by FMI functions, which initialisation mode does not allow."""
+        return max((*self.outputs.read_calls, *self.inputs.write_calls), default=0) > 1
+
     def fill(self, row: Floats) -> None:
         """Write the recorded values, shape (M,), into `row`."""
         if self.outputs.Y.size:

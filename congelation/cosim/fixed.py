@@ -6,7 +6,7 @@ import math
 
 from congelation.cosim.session import Session, just_before
 
-__all__ = ["number_of_steps", "run_fixed"]
+__all__ = ["divides", "number_of_steps", "run_fixed"]
 
 GRID_ROUNDING = 1e-12
 """A horizon this near to a whole number of steps, relative, is taken to be one."""
@@ -18,10 +18,13 @@ EVENT_ROUNDING = 1e-9
 def number_of_steps(start: float, stop: float, step: float) -> int:
     """Steps of length `step` from start to stop, the last one possibly shorter."""
     ratio = (stop - start) / step
-    nearest = round(ratio)
-    if nearest >= 1 and abs(ratio - nearest) <= GRID_ROUNDING * ratio:
-        return nearest
-    return math.ceil(ratio)
+    return round(ratio) if divides(start, stop, step) else math.ceil(ratio)
+
+
+def divides(start: float, stop: float, step: float) -> bool:
+    """Whether the horizon is a whole number of steps, up to rounding."""
+    ratio = (stop - start) / step
+    return round(ratio) >= 1 and abs(ratio - round(ratio)) <= GRID_ROUNDING * ratio
 
 
 def run_fixed(session: Session, step: float) -> None:

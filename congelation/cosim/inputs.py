@@ -63,6 +63,7 @@ class Inputs:
         derivatives: bool,
     ) -> None:
         self._system = system
+        self._outputs = outputs
         self.links = tuple(sorted(system.links, key=lambda link: link.target))
         self.C: Floats = np.zeros((1 + MAX_DERIVATIVE, len(self.links)))
         sources = [(link.source, link.output.name) for link in self.links]
@@ -131,8 +132,17 @@ class Inputs:
             values = np.zeros(len(ranked))
             references = [self.links[k].input.reference for _, k in ranked]
             send = slave.derivative_writer(references, [order for order, _ in ranked], values)
-            calls.append(self._gathered(ranked, values, send))
+            calls.append(self._when_stepping(self._gathered(ranked, values, send)))
         return chained(calls)
+
+    def _when_stepping(self, call: Callable[[], None]) -> Callable[[], None]:
+        """fmi2SetRealInputDerivatives may be called once initialisation is over."""
+
+        def guarded() -> None:
+            if self._outputs.stepping:
+                call()
+
+        return guarded
 
     def _gathered(
         self, slots: Sequence[tuple[int, int]], values: Floats, send: Callable[[], None]

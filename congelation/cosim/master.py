@@ -12,7 +12,7 @@ import numpy as np
 from congelation.cosim.adaptive import run_adaptive
 from congelation.cosim.coupling import AdaptiveStepper, Coupling, make_coupling
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.fixed import run_fixed
+from congelation.cosim.fixed import divides, run_fixed
 from congelation.cosim.output import Output
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recorder import Memory, Recorder
@@ -89,7 +89,7 @@ def simulate(
     output = output or Output()
     chosen = _coupling(coupling, options)
     resolved = system.resolve()
-    _check_states(resolved, chosen, tolerance)
+    _check_abilities(resolved, chosen, (start_time, stop_time), step, tolerance)
     recorded = resolved.recorded(record)
     names = tuple(item.name for item in recorded)
     memory = Memory()
@@ -171,8 +171,22 @@ def _coupling(coupling: str | Coupling, options: Mapping[str, object] | None) ->
     return coupling
 
 
-def _check_states(system: ResolvedSystem, coupling: Coupling, tolerance: float | None) -> None:
+def _check_abilities(
+    system: ResolvedSystem,
+    coupling: Coupling,
+    horizon: tuple[float, float],
+    step: float | None,
+    tolerance: float | None,
+) -> None:
+    """Refuse FMUs that cannot do what the run asks of them."""
     if tolerance is not None:
         require_states(system, "a tolerance (steps are taken back)")
     if coupling.rolls_back:
         require_states(system, f"the coupling '{coupling.name}' (steps are repeated)")
+    varies = tolerance is not None or (step is not None and not divides(*horizon, step))
+    for member in system.members:
+        if varies and not member.description.can_vary_step:
+            raise InvalidInput(
+                f"component '{member.name}': {member.description.path.name} takes steps of one "
+                "length only; give no tolerance, and a step that divides the horizon"
+            )

@@ -80,6 +80,8 @@ class Outputs:
         Read its part of Y.
     read_calls : list of int, one per slave
         fmi2 calls that this takes.
+    stepping : bool
+        False until initialisation is over: only then may fmi2GetRealOutputDerivatives be called.
     """
 
     def __init__(
@@ -118,6 +120,7 @@ class Outputs:
         }
         self.Y: Floats = np.zeros(len(self._names))
         self.read_calls = [bool(part.plain) + bool(part.ranked) for part in parts]
+        self.stepping = False
         self.read: list[Callable[[], None]] = []
         self._checked: list[Floats] = []
         self._events: list[int] = []
@@ -135,13 +138,21 @@ class Outputs:
             calls.append(slave.reader(references, self.Y[begin:middle]))
         if part.ranked:
             references = [variable.reference for variable in part.ranked.values()]
-            calls.append(slave.derivative_reader(references, 1, self.Y[middle:end]))
+            call = slave.derivative_reader(references, 1, self.Y[middle:end])
+            calls.append(self._when_stepping(call))
         self.read.append(chained(calls))
         announces = EVENT in part.plain
         if announces:
             self._events.append(middle - 1)
         # An announcement may be infinite, so the check of finite values stops before it.
         self._checked.append(self.Y[begin : middle - announces])
+
+    def _when_stepping(self, call: Callable[[], None]) -> Callable[[], None]:
+        def guarded() -> None:
+            if self.stepping:
+                call()
+
+        return guarded
 
     def place(self, member: int, name: str) -> int:
         """Where a variable that is read stands in Y."""

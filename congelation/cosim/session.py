@@ -64,6 +64,10 @@ class Session:
         self._exchange = Exchange(ensemble)
         self._coupling = coupling
         self._tolerance = tolerance
+        # A point on a jump makes a step of another length.
+        self._lands = coupling.lands_on_events and all(
+            member.description.can_vary_step for member in ensemble.system.members
+        )
         self._rows = rows
         self._time = start
         self._progress = progress
@@ -93,6 +97,9 @@ class Session:
             slave.require_no_error()
             slave.exit_initialization()
             slave.require_no_error()
+        ensemble.outputs.stepping = True
+        if ensemble.moves_derivatives:
+            self._exchange.run(self.start)
         ensemble.outputs.read_all()
         ensemble.outputs.check(self.start)
         self._exchange.calls = 0
@@ -103,9 +110,7 @@ class Session:
 
     def next_event(self, time: float) -> float:
         """The first announced jump after `time` on which a communication point is placed."""
-        if not self._coupling.lands_on_events:
-            return math.inf
-        return self.ensemble.outputs.next_event(time)
+        return self.ensemble.outputs.next_event(time) if self._lands else math.inf
 
     def cross(self, before: float, after: float) -> None:
         """Step over a jump that lies between two neighbouring points of time.

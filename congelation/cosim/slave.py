@@ -266,6 +266,9 @@ class Slave:
         self._broken = self._broken or status >= FATAL
         name = STATUS_NAMES[status] if status < len(STATUS_NAMES) else f"status {status}"
         reason = self._reason(f"{function} returned {name}")
+        if "KeyboardInterrupt" in reason:
+            # Ctrl-C reached Python code inside the FMU, and comes back as its last message.
+            raise KeyboardInterrupt
         discarded = status == DISCARD and function == "fmi2DoStep"
         raise (StepDiscarded if discarded else SlaveError)(self.name, self.time, reason)
 

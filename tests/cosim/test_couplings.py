@@ -177,6 +177,26 @@ def test_a_jump_that_nobody_announces_is_a_status(fmus):
     assert np.isfinite(result.values).all()
 
 
+def test_an_error_that_never_falls_names_the_connection(loop, monkeypatch):
+    from congelation.cosim.coupling.ends import Ends
+
+    monkeypatch.setattr(Ends, "defect", lambda self: 1.0)
+    result = simulate(loop(), stop_time=1.0, tolerance=1e-4, coupling="hermite")
+    assert result.status is Status.STEP_TOO_SMALL
+    assert " -> " in result.message
+    assert result.time.tolist() == [0.0]
+
+
+def test_sweeps_that_never_settle_name_the_connection(loop, monkeypatch):
+    from congelation.cosim.coupling.feedback import Feedback
+
+    monkeypatch.setattr(Feedback, "change", lambda self: 1.0)
+    monkeypatch.setattr(Feedback, "improve", lambda self: None)
+    result = simulate(loop(), stop_time=1.0, tolerance=1e-4, coupling="hermite")
+    assert result.status is Status.NOT_CONVERGED
+    assert "controller.u -> plant.u" in result.message
+
+
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [

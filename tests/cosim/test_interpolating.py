@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 from congelation.cosim import Component, Connection, Status, System, simulate
 from congelation.cosim.description import describe
 from congelation.cosim.slave import Slave
-from congelation.errors import SlaveError
+from congelation.errors import InvalidInput, SlaveError
 
 from .monolithic import order
 
@@ -20,7 +20,7 @@ SOURCE = Path(__file__).parent / "fmus" / "interpolating.c"
 
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="Interpolating" guid="{{1}}">
-  <CoSimulation modelIdentifier="Interpolating" canHandleVariableCommunicationStepSize="true"
+  <CoSimulation modelIdentifier="Interpolating" canHandleVariableCommunicationStepSize="{varies}"
     canInterpolateInputs="{interpolates}" maxOutputDerivativeOrder="1"
     canGetAndSetFMUstate="true"/>
   <ModelVariables>
@@ -36,8 +36,8 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 """
 
 
-def build(folder, interpolates):
-    """Compile the FMU; it says that it interpolates inputs, or not."""
+def build(folder, interpolates, varies="true"):
+    """Compile the FMU; it says that it interpolates inputs and varies steps, or not."""
     library = folder / "Interpolating.so"
     headers = Path(fmpy.__file__).parent / "c-code"
     subprocess.run(
@@ -47,7 +47,9 @@ def build(folder, interpolates):
     path = folder / f"Interpolating_{interpolates}.fmu"
     with zipfile.ZipFile(path, "w") as archive:
         archive.write(library, f"binaries/{fmpy.platform}/Interpolating.so")
-        archive.writestr("modelDescription.xml", DESCRIPTION.format(interpolates=interpolates))
+        archive.writestr(
+            "modelDescription.xml", DESCRIPTION.format(interpolates=interpolates, varies=varies)
+        )
     return path
 
 
@@ -150,3 +152,11 @@ def test_a_failing_read_ends_the_run(able):
     result = simulate(system, stop_time=1.0, step=0.1, record=["a.wrong"])
     assert result.status is Status.SLAVE_FAILED
     assert "reference 9" in result.message
+
+
+def test_an_fmu_with_a_fixed_step_is_given_one(tmp_path):
+    system = System((Component("a", build(tmp_path, "true", varies="false")),))
+    assert simulate(system, stop_time=1.0, step=0.1).completed
+    for kwargs in ({"step": 0.3}, {"tolerance": 1e-3, "coupling": "hermite"}):
+        with pytest.raises(InvalidInput, match=r"component 'a'.*one length only"):
+            simulate(system, stop_time=1.0, **kwargs)

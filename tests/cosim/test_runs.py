@@ -125,6 +125,12 @@ def test_an_fmu_that_crashes_ends_the_run(fmus):
     assert len(result.time) == 5
 
 
+def test_ctrl_c_inside_an_fmu_interrupts_the_run(fmus):
+    system = System((Component("f", fmus / "TestFaulty.fmu", {"mode": 4.0, "at": 0.5}),))
+    with pytest.raises(KeyboardInterrupt):
+        simulate(system, stop_time=1.0, step=0.125)
+
+
 def test_a_refused_parameter_ends_the_run_before_it_begins(fmus):
     system = System((Component("f", fmus / "TestFaulty.fmu", {"r": -200.0}),))
     result = simulate(system, stop_time=1.0, step=0.125)

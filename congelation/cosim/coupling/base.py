@@ -77,6 +77,10 @@ class AdaptiveStepper(Stepper):
         """Take the step that was tried back, without a trace; also after an exception in it."""
 
     @abstractmethod
+    def worst(self) -> str:
+        """The connection that the last trial left in the largest error."""
+
+    @abstractmethod
     def first_step(self) -> float:
         """A step from here over which the inputs change little, in seconds; may be infinite."""
 

@@ -91,6 +91,7 @@ class _DerivativeStepper(AdaptiveStepper):
         self._interpolates = [bool(mask.any()) for mask in self._ahead]
         self._calls_per_sweep = ensemble.calls_per_sweep
         self._error = 0.0
+        self._worst = 0
         self.sweeps = 0
         self.estimated_error = 0.0
 
@@ -143,7 +144,9 @@ class _DerivativeStepper(AdaptiveStepper):
         if ends.new.size:
             distance = np.abs(ends.w[0] + length * ends.w[1] - ends.new[0])
             size = self._ensemble.inputs.nominal + np.abs(ends.new[0])
-            self._error = float((distance / size).max())
+            distance /= size
+            self._worst = int(distance.argmax())
+            self._error = float(distance[self._worst])
 
     def accept(self) -> None:
         self._ends.close()
@@ -155,6 +158,9 @@ class _DerivativeStepper(AdaptiveStepper):
     def reject(self) -> None:
         if self._checkpoint is not None:
             self._checkpoint.restore()
+
+    def worst(self) -> str:
+        return self._ensemble.inputs.links[self._worst].name
 
     def first_step(self) -> float:
         return self._ends.time_scale() * FIRST_CHANGE

@@ -34,6 +34,8 @@ class Ends:
         v0, d0 at the start of the step, v1, d1 at its end, as the polynomials use them.
     new : array, shape (2, L)
         Value and derivative as last read from the sources.
+    worst : int
+        The link of the largest defect found last.
     """
 
     def __init__(self, ensemble: Ensemble) -> None:
@@ -47,6 +49,7 @@ class Ends:
         self._past: Floats = np.zeros((2, 0, count))
         self._times: list[float] = []
         self._end = 0.0
+        self.worst = 0
         self.w: Floats = np.zeros((4, count))
         self.new: Floats = np.zeros((2, count))
 
@@ -135,7 +138,9 @@ class Ends:
         else:
             cubic = 2.0 * (w[0] - new[0]) + h * (w[1] + new[1])
             distance = np.abs(cubic) * (4.0 / 27.0)
-        return float((distance / (self._nominal + np.abs(new[0]))).max())
+        distance /= self._nominal + np.abs(new[0])
+        self.worst = int(distance.argmax())
+        return float(distance[self.worst])
 
     def time_scale(self) -> float:
         """The time in which some link would change by nominal value plus size; or infinity."""

@@ -139,7 +139,7 @@ class _HermiteStepper(AdaptiveStepper):
             raise RunEnded(
                 Status.NOT_CONVERGED,
                 f"the step from t = {time:.9g} to {end:.9g}: sweeps left the connection "
-                f"{self._feedback.worst()} changing (at most {self._coupling.max_sweeps} are made)",
+                f"{self.worst()} changing (at most {self._coupling.max_sweeps} are made)",
             )
         self.accept()
 
@@ -228,6 +228,11 @@ class _HermiteStepper(AdaptiveStepper):
         self._feedback.undo()
         if self._checkpoint is not None:
             self._checkpoint.restore()
+
+    def worst(self) -> str:
+        if math.isfinite(self._error):
+            return self._ensemble.inputs.links[self._ends.worst].name
+        return self._feedback.worst()
 
     def first_step(self) -> float:
         return self._ends.time_scale() * FIRST_CHANGE

@@ -34,6 +34,8 @@ class TestFaulty(Block):
             return False
         if late and self.values["mode"] == 2.0:
             raise RuntimeError("the slave fell over")
+        if late and self.values["mode"] == 4.0:
+            raise KeyboardInterrupt
         if step_size > self.values["longest"]:
             self.log("too long a step", Fmi2Status.discard)
             return False
