@@ -12,7 +12,7 @@ from typing import Annotated
 import typer
 
 from congelation.cli.designs import certify
-from congelation.cli.results import report
+from congelation.cli.results import export, ls, report, show
 from congelation.cli.runs import export_ssp, run, sweep
 from congelation.cli.shared import BAD_INPUT, FAILED, complain
 from congelation.conformance.command import check
@@ -28,7 +28,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (run, sweep, report, certify, check):
+for command in (run, sweep, report, ls, show, export, certify, check):
     app.command()(command)
 app.command("export-ssp")(export_ssp)
 

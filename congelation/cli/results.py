@@ -1,4 +1,4 @@
-"""Commands on result directories: `report`."""
+"""Commands on result directories: `report`, `ls`, `show`, `export`."""
 
 from __future__ import annotations
 
@@ -8,16 +8,22 @@ from typing import Annotated
 import typer
 
 from congelation.cli.shared import print_figures, print_summary
+from congelation.errors import InvalidInput
+from congelation.report.exchange import write_csv, write_mat
 from congelation.report.html import write_html
-from congelation.study.store import Store
+from congelation.report.summary import number
+from congelation.report.table import aligned
+from congelation.study.store import Store, metrics_of, settings_of
 
-__all__ = ["report"]
+__all__ = ["export", "ls", "report", "show"]
+
+Directory = Annotated[
+    Path, typer.Argument(metavar="DIR", help="Result directory.", show_default=False)
+]
 
 
 def report(
-    folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Result directory.", show_default=False)
-    ],
+    folder: Directory,
     html: Annotated[
         Path | None, typer.Option(help="Also write one self-contained HTML file.", metavar="FILE")
     ] = None,
@@ -29,3 +35,53 @@ def report(
     if html is not None:
         write_html(store, html)
         print(html)
+
+
+def ls(
+    folder: Directory,
+    status: Annotated[
+        str | None, typer.Option(help="Only runs that ended so.", show_default="all")
+    ] = None,
+) -> None:
+    """List the runs of a result directory, also while a sweep writes into it."""
+    rows = [row for row in Store(folder).rows() if status in (None, row["status"])]
+    if not rows:
+        print("no runs")
+        return
+    columns = ["run_id", "variant", *settings_of(rows[0]), "status", *metrics_of(rows[0])]
+    print(aligned(columns, [[number(row[name]) for name in columns] for row in rows]))
+
+
+def show(
+    folder: Directory,
+    run_id: Annotated[
+        str, typer.Argument(metavar="RUN_ID", help="Or its first digits.", show_default=False)
+    ],
+) -> None:
+    """Show one run: everything in its row, and where its trajectory is."""
+    store = Store(folder)
+    row = store.find(run_id)
+    file = store.trajectory_file(row["run_id"])
+    lines = [(name, number(value)) for name, value in row.items()]
+    lines.append(("trajectory", str(file) if file.is_file() else "not kept"))
+    print(aligned(lines[0], lines[1:]))
+
+
+def export(
+    folder: Directory,
+    csv: Annotated[
+        Path | None, typer.Option(help="Write runs and trajectories as CSV.", metavar="FOLDER")
+    ] = None,
+    mat: Annotated[
+        Path | None, typer.Option(help="Write everything into one MAT-file.", metavar="FILE")
+    ] = None,
+) -> None:
+    """Write a result directory for other programs."""
+    if csv is None and mat is None:
+        raise InvalidInput("nothing to do: give --csv FOLDER or --mat FILE")
+    if csv is not None:
+        files = write_csv(Store(folder), csv)
+        print(f"{len(files)} files in {csv}")
+    if mat is not None:
+        write_mat(Store(folder), mat)
+        print(mat)

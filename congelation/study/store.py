@@ -26,7 +26,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 import congelation
-from congelation.errors import CongelationError, InvalidInput
+from congelation.errors import CongelationError, InvalidInput, nearest
 
 __all__ = [
     "Store",
@@ -36,6 +36,9 @@ __all__ = [
     "code_version",
     "content_hash",
     "file_hash",
+    "metrics_of",
+    "replace_whole",
+    "settings_of",
 ]
 
 
@@ -74,6 +77,21 @@ def code_version() -> str:
     except PackageNotFoundError:  # used from a source tree that is not installed
         number = "0"
     return f"{number}+{digest.hexdigest()[:12]}"
+
+
+def settings_of(row: Row) -> dict[str, object]:
+    """The varied settings of a row: its columns between `variant` and `status`."""
+    return _between(row, "variant", "status")
+
+
+def metrics_of(row: Row) -> dict[str, object]:
+    """The metrics of a row: its columns between `message` and `macro_steps`."""
+    return _between(row, "message", "macro_steps")
+
+
+def _between(row: Row, first: str, last: str) -> dict[str, object]:
+    names = list(row)
+    return {name: row[name] for name in names[names.index(first) + 1 : names.index(last)]}
 
 
 @dataclass(frozen=True)
@@ -175,6 +193,40 @@ class Store:
         """The row of a finished run."""
         rows: list[dict[str, Any]] = _read(self.part_file(run_id), "no such run").to_pylist()
         return rows[0]
+
+    def rows(self) -> tuple[dict[str, Any], ...]:
+        """The rows of all runs finished so far, also while a sweep is under way.
+
+        Those of runs.parquet come first, in its order. Every row has every column.
+
+        Raises
+        ------
+        InvalidInput
+            If this is no result directory.
+        """
+        if not (self.root / "parts").is_dir() and not self.index.is_file():
+            raise InvalidInput(f"{self.root} is no result directory")
+        rows = list(self.read().rows) if self.index.is_file() else []
+        new = self.finished().difference(row["run_id"] for row in rows)
+        rows += [self.row(run_id) for run_id in sorted(new)]
+        names = dict.fromkeys(name for row in rows for name in row)
+        return tuple({name: row.get(name) for name in names} for row in rows)
+
+    def find(self, run_id: str) -> dict[str, Any]:
+        """The row of the finished run whose run_id begins with `run_id`.
+
+        Raises
+        ------
+        InvalidInput
+            If there is no such run, or more than one.
+        """
+        known = sorted(self.finished())
+        found = [name for name in known if name.startswith(run_id)]
+        if not found:
+            raise InvalidInput(f"{self.root} has no run '{run_id}'; {nearest(run_id, known)}")
+        if len(found) > 1:
+            raise InvalidInput(f"{len(found)} runs begin with '{run_id}'; give more of its digits")
+        return self.row(found[0])
 
     def compact(self, run_ids: Sequence[str], about: Mapping[str, object]) -> None:
         """Write runs.parquet: the rows of `run_ids`, in that order."""
