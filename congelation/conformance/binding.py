@@ -135,8 +135,8 @@ class Tape:
 
     def __init__(self, path: Path) -> None:
         path.write_bytes(bytes(self.LENGTH))
-        self._file = path.open("r+b")
-        self._map = mmap.mmap(self._file.fileno(), self.LENGTH)
+        with path.open("r+b") as file:
+            self._map = mmap.mmap(file.fileno(), self.LENGTH)
 
     def write(self, text: str) -> None:
         """Note what is about to happen; "" for nothing in particular."""

@@ -12,12 +12,17 @@ from pathlib import Path
 
 from congelation.conformance.bench import platform_folder
 
-__all__ = ["SOURCES", "Entries", "build", "compiled", "read_entries", "write_archive"]
+__all__ = ["SOURCES", "Entries", "build", "compiled", "header", "read_entries", "write_archive"]
 
 SOURCES = Path(__file__).parent / "fmu"
 
 # Contents of the archive by name.
 Entries = dict[str, bytes]
+
+
+def header(name: str) -> str:
+    """One of the header files of FMI."""
+    return (files("fmpy") / "c-code" / name).read_text(encoding="utf-8")
 
 
 def compiled(folder: Path, mutation: str = "") -> bytes:
