@@ -141,6 +141,11 @@ class Bench:
         return Grid(start, step)
 
     @property
+    def alone_only(self) -> bool:
+        """Whether there may be no second instance in the process."""
+        return self.description.flag("canBeInstantiatedOnlyOncePerProcess")
+
+    @property
     def uri(self) -> str:
         """URI of the resources directory."""
         return (self.directory / "resources").as_uri()

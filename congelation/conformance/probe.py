@@ -24,7 +24,7 @@ _DIRECT = 0.9
 # Below this a difference may be rounding.
 _NOISE = 1e-9
 
-Effects = dict[tuple[int, int], tuple[Value, Value]]
+_Effects = dict[tuple[int, int], tuple[Value, Value]]
 
 
 def shifted(variable: Variable, value: Value, description: Description) -> Value | None:
@@ -81,7 +81,7 @@ def _points(bench: Bench) -> Iterator[_Point]:
         yield _Point(bench.grid.start + _DELAY, dict(moved))
 
 
-def initial_sensitivity(bench: Bench) -> tuple[Effects, set[int]]:
+def initial_sensitivity(bench: Bench) -> tuple[_Effects, set[int]]:
     """Shift one Known after the other and see which InitialUnknowns change.
 
     Returns
@@ -96,7 +96,7 @@ def initial_sensitivity(bench: Bench) -> tuple[Effects, set[int]]:
         v for u in description.initial_unknowns if (v := description.variable(u.index)) is not None
     )
     instance = bench.fresh()
-    effects: Effects = {}
+    effects: _Effects = {}
     varied: set[int] = set()
     for point in _points(bench):
         base = _readings(bench, instance, point, None, unknowns)
@@ -161,7 +161,7 @@ def _shift_of(
     return None if value is None else (point.start, {**point.values, known.index: value})
 
 
-def feedthrough(bench: Bench) -> tuple[Effects, set[int]]:
+def feedthrough(bench: Bench) -> tuple[_Effects, set[int]]:
     """Shift one Real input after the other over a tiny step and over half of it.
 
     An output that keeps its difference when the step is halved reacts directly.
@@ -178,7 +178,7 @@ def feedthrough(bench: Bench) -> tuple[Effects, set[int]]:
     knowns = tuple(v for v in inputs(description) if v.element == "Real")
     instance = bench.fresh()
     base = {size: _after(bench, instance, size, None, outputs) for size in _sizes()}
-    effects: Effects = {}
+    effects: _Effects = {}
     varied: set[int] = set()
     for known in knowns:
         moved = {size: _after(bench, instance, size, known, outputs) for size in _sizes()}

@@ -17,7 +17,14 @@ if TYPE_CHECKING:
     from congelation.conformance.rule import Finding, Rule
     from congelation.conformance.runner import Checker
 
-__all__ = ["FmuFile", "RuleItem", "Violation"]
+__all__ = [
+    "FmuFile",
+    "RuleItem",
+    "Violation",
+    "pytest_addoption",
+    "pytest_collect_file",
+    "pytest_configure",
+]
 
 
 class Violation(AssertionError):

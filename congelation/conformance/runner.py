@@ -38,7 +38,7 @@ from congelation.conformance.rules import BY_ID, RULES
 from congelation.conformance.subject import open_subject
 from congelation.errors import InvalidInput, nearest
 
-__all__ = ["Checker", "FmuReport", "Report", "run", "select"]
+__all__ = ["Checker", "FmuReport", "Progress", "Report", "run", "select"]
 
 Progress = Callable[[Path, Finding], None]
 

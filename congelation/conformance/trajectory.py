@@ -31,7 +31,7 @@ __all__ = [
 ]
 
 # Communication steps of a test run: enough for the states to move, few enough to repeat often.
-STEPS = 12
+_STEPS = 12
 
 # A tenth of the start value (or of 1) moves a state visibly and stays near the operating point.
 _AMPLITUDE = 0.1
@@ -43,7 +43,7 @@ class Grid:
 
     start: float
     step: float
-    steps: int = STEPS
+    steps: int = _STEPS
 
     def time(self, point: int) -> float:
         """Communication point number `point`, without accumulated rounding."""

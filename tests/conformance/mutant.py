@@ -38,6 +38,8 @@ class Mutant:
         Applied to the contents; used to write the archive.
     companion : callable, optional
         Edit that makes the other FMU for rules that load two.
+    time_limit : float
+        Seconds to wait; short for what is known to hang.
     """
 
     rule: str
@@ -46,6 +48,7 @@ class Mutant:
     edit: Edit = field(default=lambda entries: entries)
     pack: Pack = archive
     companion: Edit | None = None
+    time_limit: float = 30.0
 
     @property
     def label(self) -> str:

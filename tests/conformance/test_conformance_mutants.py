@@ -16,9 +16,6 @@ from congelation.conformance.rule import Outcome
 from congelation.conformance.rules import BY_ID, RULES
 from congelation.conformance.runner import Checker, run
 
-# Enough for the slowest rule on the test FMU; a mutant that hangs is waited for that long.
-TIME_LIMIT = 5.0
-
 MUTANTS = (*ARCHIVE_MUTANTS, *XML_MUTANTS, *BINARY_MUTANTS)
 
 
@@ -38,7 +35,7 @@ def test_mutant_is_caught(mutant: Mutant, library: Callable[[str], bytes], tmp_p
     companion = None
     if mutant.companion is not None:
         companion = lag.write_archive(tmp_path / "other.fmu", mutant.companion(entries))
-    with Checker(path, companion, time_limit=TIME_LIMIT) as checker:
+    with Checker(path, companion, time_limit=mutant.time_limit) as checker:
         finding = checker.check(BY_ID[mutant.rule])
     assert finding.outcome is Outcome.VIOLATION
     assert mutant.says in "\n".join(finding.lines)

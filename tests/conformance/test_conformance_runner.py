@@ -10,7 +10,7 @@ from pathlib import Path
 
 import lag
 import pytest
-from mutant import XML, renamed, without
+from mutant import XML, renamed, swap, without
 from rich.console import Console
 
 from congelation.conformance.binding import FUNCTIONS, Tape
@@ -112,6 +112,13 @@ def test_modest_fmu_has_no_violation(library: Library, tmp_path: Path) -> None:
     assert [(f.rule.id, f.lines) for f in fmu.findings if f.outcome is Outcome.VIOLATION] == []
     families = {f.rule.id[:-3] for f in fmu.findings if f.outcome is Outcome.NOT_APPLICABLE}
     assert {"FMI2-FMUSTATE", "FMI2-SERIAL", "FMI2-FLAG"} <= families
+
+
+def test_fmu_for_one_instance_has_no_violation(library: Library, tmp_path: Path) -> None:
+    flag = swap("<CoSimulation", '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true"')
+    path = lag.build(tmp_path, library("second_instance_refused"), edit=flag)
+    (fmu,) = run([path]).fmus
+    assert [(f.rule.id, f.lines) for f in fmu.findings if f.outcome is Outcome.VIOLATION] == []
 
 
 def test_two_fmus_are_checked_next_to_each_other(

@@ -151,7 +151,7 @@ def no_memory_functions(bench: Bench) -> Iterator[str]:
 @dynamic("FMI2-FLAG-07", "2.1.5, 4.3.1")
 def several_instances(bench: Bench) -> Iterator[str]:
     """Without canBeInstantiatedOnlyOncePerProcess a second instance can be made."""
-    if bench.description.flag("canBeInstantiatedOnlyOncePerProcess"):
+    if bench.alone_only:
         raise NotApplicable("canBeInstantiatedOnlyOncePerProcess is true")
     first, second = bench.attempt("first"), bench.attempt("second")
     for instance in (first, second):

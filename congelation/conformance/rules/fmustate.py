@@ -12,7 +12,7 @@ from congelation.conformance.probe import shifted
 from congelation.conformance.rule import NotApplicable, Rule, dynamic
 from congelation.conformance.trajectory import demand, excitation, excite, inputs
 
-__all__ = ["RULES"]
+__all__ = ["RULES", "restore", "save"]
 
 
 def _needs_state(bench: Bench) -> None:

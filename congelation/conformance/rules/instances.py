@@ -89,7 +89,7 @@ def _named(found: Trajectory, model: Trajectory) -> Trajectory:
 
 
 def _only_one(bench: Bench) -> None:
-    if bench.description.flag("canBeInstantiatedOnlyOncePerProcess"):
+    if bench.alone_only:
         raise NotApplicable("canBeInstantiatedOnlyOncePerProcess is true")
 
 

@@ -12,7 +12,7 @@ from congelation.conformance.trajectory import demand
 
 __all__ = ["RULES"]
 
-Provocation = Callable[[Bench, Instance], Status]
+_Provocation = Callable[[Bench, Instance], Status]
 
 
 def _unknown(bench: Bench, instance: Instance) -> Status:
@@ -28,7 +28,7 @@ def _nothing(bench: Bench, instance: Instance) -> Status:
 
 
 # Calls that a careful FMU refuses, and then has to explain itself.
-_PROVOCATIONS: dict[str, Provocation] = {
+_PROVOCATIONS: dict[str, _Provocation] = {
     "fmi2GetReal of an unknown reference": _unknown,
     "fmi2DoStep with a negative step": _backwards,
     "fmi2DoStep with a step of zero": _nothing,

@@ -140,10 +140,10 @@ def many_faults(bench: Bench) -> Iterator[str]:
     instance.free()
 
 
-Fault = Callable[[Bench, Instance, random.Random], None]
+_Fault = Callable[[Bench, Instance, random.Random], None]
 
 
-def _faults(bench: Bench) -> list[Fault]:
+def _faults(bench: Bench) -> list[_Fault]:
     description = bench.description
     reals = [v for v in inputs(description) if v.element == "Real"]
     starts = [v for v in description.variables if v.settable_before_start and v.base in _BAD]
@@ -168,7 +168,7 @@ def _faults(bench: Bench) -> list[Fault]:
             _not_fatal(instance.set_state(state), "fmi2SetFMUstate of noise")
             instance.free_state(state)
 
-    faults: list[Fault] = [wrong_step]
+    faults: list[_Fault] = [wrong_step]
     if reals:
         faults.append(wrong_input)
     if starts:

@@ -17,7 +17,7 @@ from congelation.conformance.trajectory import demand, excite, inputs, observe, 
 
 __all__ = ["RULES"]
 
-Call = Callable[[Bench, Instance], Status]
+_Call = Callable[[Bench, Instance], Status]
 
 # fmi2StatusKind
 _DO_STEP, _PENDING, _LAST_TIME, _TERMINATED = range(4)
@@ -68,7 +68,7 @@ def _step(bench: Bench, instance: Instance) -> Status:
 
 
 # The calls of the table in section 4.2.4 that change the state or need one.
-_CALLS: Mapping[str, Call] = {
+_CALLS: Mapping[str, _Call] = {
     "fmi2SetupExperiment": lambda bench, instance: instance.setup(bench.grid.start),
     "fmi2EnterInitializationMode": lambda bench, instance: instance.enter(),
     "fmi2ExitInitializationMode": lambda bench, instance: instance.leave(),
