@@ -46,6 +46,7 @@ from congelation.export.interface import ProfileSlots
 from congelation.export.units import base_unit
 from congelation.signals import Profile, Slots
 from congelation.theory.model import Model
+from congelation.theory.values import complete_values
 from congelation.toml import Section, read_document
 
 __all__ = ["FmuSpec", "Spec", "read_spec"]
@@ -200,6 +201,8 @@ def _block(section: Section, folder: str, model: Model, special: Special | None)
         raise section.wrong("name", "a C identifier: letters, digits and _")
     start = section.section("start")
     changed = start.attempt("", lambda: model.with_defaults(start.data))
+    # An FMU whose own defaults it would refuse is not built.
+    start.attempt("", lambda: complete_values(changed))
     return FmuSpec(name, folder, changed, special)
 
 

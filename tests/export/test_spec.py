@@ -63,6 +63,18 @@ def test_mistakes(tmp_path, old, new, message):
     assert re.search(r"spec\.toml", str(caught.value))
 
 
+def test_infeasible_gains_are_refused(tmp_path, capsys):
+    """The values of Sec. V, (r, epsilon) = (5, 0.1): no FMU, and the smallest r that works."""
+    text = (ROOT / "specs" / "output_feedback.toml").read_text("utf-8")
+    changed = re.sub(r"epsilon = [0-9.]+", "epsilon = 0.1", text)
+    assert changed != text
+    file = tmp_path / "infeasible.toml"
+    file.write_text(changed)
+    assert build_fmu.main(["--spec", str(file), "--out", str(tmp_path)]) == 2
+    assert "the smallest feasible r is 10.0499" in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.fmu"))
+
+
 def test_command(tmp_path, capsys):
     assert build_fmu.main(["--spec", str(tmp_path / "none.toml")]) == 2
     assert "no such file" in capsys.readouterr().err
