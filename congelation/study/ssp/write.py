@@ -14,16 +14,16 @@ import hashlib
 import json
 import math
 import zipfile
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import version
 from pathlib import Path
 
 from lxml import etree
 
-from congelation.cosim.description import Description, Variable
+from congelation.cosim.description import Variable
 from congelation.cosim.start import StartValue
-from congelation.cosim.system import Link, ResolvedSystem
+from congelation.cosim.system import ResolvedSystem
 from congelation.errors import InvalidInput, nearest
 from congelation.study.scenario import Experiment, Scenario, Variant
 from congelation.study.ssp.schema import ANNOTATION, DESCRIPTION, NAMESPACES, SSD, tag
@@ -38,7 +38,9 @@ _PARAMETER_SET = "initialValues"
 _DATE = (1980, 1, 1, 0, 0, 0)
 
 
-def write_ssp(scenario: Scenario, file: Path, variant: str | None = None) -> None:
+def write_ssp(
+    scenario: Scenario, file: Path, variant: str | None = None, *, derivatives: bool = False
+) -> None:
     """Write one variant of a scenario as an SSP archive.
 
     The archive says what SSP 1.0 can say; the coupling, its step, the columns to record, metrics
@@ -51,6 +53,9 @@ def write_ssp(scenario: Scenario, file: Path, variant: str | None = None) -> Non
         Replaced if it exists.
     variant : str, optional
         The first one by default.
+    derivatives : bool
+        Whether to connect the outputs der(.) as well. Tools that hold their inputs then hold the
+        derivatives with them, and the FMUs extrapolate: second order instead of first.
 
     Raises
     ------
@@ -68,7 +73,8 @@ def write_ssp(scenario: Scenario, file: Path, variant: str | None = None) -> Non
     archive = _Archive()
     root = _root(scenario, file)
     system = _add(root, "ssd:System", name=file.stem)
-    connectors = _connectors(resolved, case.experiment)
+    ties = [*_ties(resolved), *(_derivative_ties(resolved) if derivatives else ())]
+    connectors = _connectors(resolved, ties, case.experiment)
     elements = _add(system, "ssd:Elements")
     for place, member in enumerate(resolved.members):
         fmu = member.description.path
@@ -79,7 +85,7 @@ def write_ssp(scenario: Scenario, file: Path, variant: str | None = None) -> Non
         parameters = _parameter_set(member.start, archive)
         bound = archive.add(f"resources/{member.name}.ssv", parameters)
         _add(_add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=bound)
-    _add_connections(system, resolved)
+    _add_connections(system, resolved, ties)
     _add_experiment(root, case.experiment)
     beyond = _beyond_ssp(scenario, chosen, case.experiment)
     etree.SubElement(_annotation(root, ANNOTATION), "Scenario").text = json.dumps(beyond, indent=2)
@@ -132,61 +138,78 @@ def _add(parent: etree._Element, element: str, **attributes: str) -> etree._Elem
     return etree.SubElement(parent, tag(element), attributes)
 
 
-def _connectors(resolved: ResolvedSystem, experiment: Experiment) -> dict[int, dict[str, Variable]]:
-    """By place of the component: the variables with a connector, in the FMU's order.
+@dataclass(frozen=True)
+class _Tie:
+    """A connection of two variables, with the places of their components."""
 
-    Those are the connected ones, and the outputs that the experiment records, for tools that show
-    nothing but connectors.
-    """
-    wanted: dict[int, set[str]] = {place: set() for place in range(len(resolved.members))}
-    for link in _links(resolved):
+    source: int
+    output: Variable
+    target: int
+    input: Variable
+
+
+def _ties(resolved: ResolvedSystem) -> Iterator[_Tie]:
+    for link in (*resolved.links, *resolved.discrete_links):
         if link.output.causality != "output":
             raise InvalidInput(
                 f"connection '{link.name}': '{link.output.name}' is of causality "
                 f"{link.output.causality}; an SSP connects outputs to inputs"
             )
-        wanted[link.source].add(link.output.name)
-        wanted[link.target].add(link.input.name)
+        yield _Tie(link.source, link.output, link.target, link.input)
+
+
+def _derivative_ties(resolved: ResolvedSystem) -> Iterator[_Tie]:
+    """From der(output) to der(input), for each order that both ends of a link have."""
+    for link in resolved.links:
+        for output, input_ in zip(link.source_derivatives, link.target_derivatives, strict=True):
+            if output is not None and input_ is not None:
+                yield _Tie(link.source, output, link.target, input_)
+
+
+def _connectors(
+    resolved: ResolvedSystem, ties: Iterable[_Tie], experiment: Experiment
+) -> list[list[Variable]]:
+    """By component: the variables with a connector, in the FMU's order.
+
+    Those are the connected ones, and the outputs that the experiment records, for tools that show
+    nothing but connectors.
+    """
+    wanted: list[set[str]] = [set() for _ in resolved.members]
+    for tie in ties:
+        wanted[tie.source].add(tie.output.name)
+        wanted[tie.target].add(tie.input.name)
     for column in resolved.recorded(experiment.record):
         if column.variable.causality == "output":
             wanted[column.member].add(column.variable.name)
-    return {
-        place: _in_order(resolved.members[place].description, names)
-        for place, names in wanted.items()
-    }
+    return [
+        [v for name, v in member.description.variables.items() if name in names]
+        for member, names in zip(resolved.members, wanted, strict=True)
+    ]
 
 
-def _in_order(description: Description, names: set[str]) -> dict[str, Variable]:
-    return {name: v for name, v in description.variables.items() if name in names}
-
-
-def _links(resolved: ResolvedSystem) -> Iterable[Link]:
-    return (*resolved.links, *resolved.discrete_links)
-
-
-def _add_connectors(component: etree._Element, variables: Mapping[str, Variable]) -> None:
+def _add_connectors(component: etree._Element, variables: Sequence[Variable]) -> None:
     if not variables:
         return
     connectors = _add(component, "ssd:Connectors")
-    for variable in variables.values():
-        connector = _add(connectors, "ssd:Connector", name=variable.name)
-        connector.set("kind", variable.causality)
+    for variable in variables:
+        connector = _add(connectors, "ssd:Connector", name=variable.name, kind=variable.causality)
         _add(connector, f"ssc:{variable.type}")
 
 
-def _add_connections(system: etree._Element, resolved: ResolvedSystem) -> None:
-    links = list(_links(resolved))
-    if not links:
+def _add_connections(
+    system: etree._Element, resolved: ResolvedSystem, ties: Sequence[_Tie]
+) -> None:
+    if not ties:
         return
     connections = _add(system, "ssd:Connections")
-    for link in links:
+    for tie in ties:
         _add(
             connections,
             "ssd:Connection",
-            startElement=resolved.members[link.source].name,
-            startConnector=link.output.name,
-            endElement=resolved.members[link.target].name,
-            endConnector=link.input.name,
+            startElement=resolved.members[tie.source].name,
+            startConnector=tie.output.name,
+            endElement=resolved.members[tie.target].name,
+            endConnector=tie.input.name,
         )
 
 
