@@ -178,9 +178,9 @@ def test_a_jump_that_nobody_announces_is_a_status(fmus):
 
 
 def test_an_error_that_never_falls_names_the_connection(loop, monkeypatch):
-    from congelation.cosim.coupling.ends import Ends
+    from congelation.cosim.coupling.predictor import Predictor
 
-    monkeypatch.setattr(Ends, "defect", lambda self: 1.0)
+    monkeypatch.setattr(Predictor, "defect", lambda self: 1.0)
     result = simulate(loop(), stop_time=1.0, tolerance=1e-4, coupling="hermite")
     assert result.status is Status.STEP_TOO_SMALL
     assert " -> " in result.message

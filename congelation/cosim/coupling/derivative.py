@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -10,15 +11,18 @@ import numpy.typing as npt
 
 from congelation.cosim.coupling.base import AdaptiveStepper, Coupling
 from congelation.cosim.coupling.ends import Ends
+from congelation.cosim.coupling.monitor import Watch
 from congelation.cosim.coupling.polynomial import hermite
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.states import Checkpoint
+from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 
 __all__ = ["Derivative"]
 
 Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 SEQUENCES = ("gauss_seidel", "jacobi")
 
@@ -64,6 +68,27 @@ class Derivative(Coupling):
         return _DerivativeStepper(ensemble, exchange, self.sequence == "gauss_seidel", checkpoint)
 
 
+class _Interpolation:
+    """Polynomials between both ends of a step.
+
+    Parameters
+    ----------
+    cubic, linear : boolean arrays, shape (L,)
+        Links that take three derivatives, and those that take fewer.
+    """
+
+    def __init__(self, cubic: Mask, linear: Mask) -> None:
+        self._cubic, self._linear = cubic, linear
+        self._has_cubic, self._has_linear = bool(cubic.any()), bool(linear.any())
+
+    def fill(self, C: Floats, w: Floats, length: float) -> None:
+        """Set the columns of these links in C, from w = (v0, d0, v1, d1)."""
+        if self._has_cubic:
+            np.copyto(C, hermite(length).dot(w), where=self._cubic)
+        if self._has_linear:
+            np.copyto(C[1], (w[2] - w[0]) / length, where=self._linear)
+
+
 class _DerivativeStepper(AdaptiveStepper):
     order = 2
 
@@ -83,21 +108,28 @@ class _DerivativeStepper(AdaptiveStepper):
         # Loops are solved at every communication point; for plain feedthrough the sequence of
         # the slaves already carries the values over.
         self._exchanges = bool(exchange.loops) or (exchange.feedthrough and not sequential)
-        self._cubic = ensemble.inputs.order == 3
         self._ahead = [
-            np.array([sequential and k.source < k.target == m for k in ensemble.inputs.links], bool)
+            self._interpolation([k.source < k.target == m for k in ensemble.inputs.links])
             for m in range(len(ensemble.slaves))
         ]
-        self._interpolates = [bool(mask.any()) for mask in self._ahead]
+        self._watch = Watch(ensemble, extrapolated=True)
         self._calls_per_sweep = ensemble.calls_per_sweep
         self._error = 0.0
         self._worst = 0
         self.sweeps = 0
         self.estimated_error = 0.0
 
+    def _interpolation(self, stepped: Sequence[bool]) -> _Interpolation | None:
+        """How to interpolate links whose sources have stepped already."""
+        if not self._sequential or not any(stepped):
+            return None
+        cubic = self._ensemble.inputs.order == MAX_DERIVATIVE
+        return _Interpolation(np.array(stepped) & cubic, np.array(stepped) & ~cubic)
+
     def start(self, time: float) -> None:
         self._ends.start(time)
         self._is_saved = False
+        self._watch.extrapolated(time, self._ends.w[:2])
 
     def advance(self, time: float, end: float) -> None:
         self._step(time, end)
@@ -108,17 +140,26 @@ class _DerivativeStepper(AdaptiveStepper):
             self._checkpoint.save()
             self._is_saved = True
         self._step(time, end)
+        ends = self._ends
+        if ends.new.size:
+            distance = np.abs(ends.w[0] + (end - time) * ends.w[1] - ends.new[0])
+            relative = ends.relative(distance)
+            self._worst = int(relative.argmax())
+            self._error = float(relative[self._worst])
         return self._error
 
     def _step(self, time: float, end: float) -> None:
-        ensemble, ends = self._ensemble, self._ends
+        ensemble, ends, C = self._ensemble, self._ends, self._ensemble.inputs.C
         length = end - time
-        ends.open(end)
-        ensemble.inputs.C[:2] = ends.w[:2]
-        ensemble.inputs.C[2:] = 0.0
+        ends.open(time, end)
+        C[:2] = ends.w[:2]
+        C[2:] = 0.0
         for m, slave in enumerate(ensemble.slaves):
-            if self._interpolates[m]:
-                self._interpolate(self._ahead[m], length)
+            ahead = self._ahead[m]
+            if ahead is not None:
+                ends.read()
+                ends.set_ends(ends.new)
+                ahead.fill(C, ends.w, length)
             ensemble.inputs.write[m]()
             slave.step(time, length, self._checkpoint is None)
             if self._sequential:
@@ -127,31 +168,13 @@ class _DerivativeStepper(AdaptiveStepper):
             ensemble.outputs.read_all()
         if self._exchanges:
             self._exchange.run(end)
+        ends.read()
         self.sweeps += 1
-        self._estimate(length)
-
-    def _interpolate(self, links: npt.NDArray[np.bool_], length: float) -> None:
-        """Between both ends of the step: the sources of these links have stepped already."""
-        ends, C = self._ends, self._ensemble.inputs.C
-        ends.read()
-        ends.w[2:] = ends.new
-        np.copyto(C[1], (ends.new[0] - ends.w[0]) / length, where=links & ~self._cubic)
-        np.copyto(C, hermite(length) @ ends.w, where=links & self._cubic)
-
-    def _estimate(self, length: float) -> None:
-        ends = self._ends
-        ends.read()
-        if ends.new.size:
-            distance = np.abs(ends.w[0] + length * ends.w[1] - ends.new[0])
-            size = self._ensemble.inputs.nominal + np.abs(ends.new[0])
-            distance /= size
-            self._worst = int(distance.argmax())
-            self._error = float(distance[self._worst])
 
     def accept(self) -> None:
         self._ends.close()
         self._is_saved = False
-        self.estimated_error = max(self.estimated_error, self._error)
+        self._watch.extrapolated(self._ends.end_time, self._ends.w[:2])
         if self._ensemble.system.discrete_links:
             self._ensemble.copy_discrete()
 
@@ -166,5 +189,7 @@ class _DerivativeStepper(AdaptiveStepper):
         return self._ends.time_scale() * FIRST_CHANGE
 
     def finish(self) -> None:
+        self._watch.flush()
+        self.estimated_error = self._watch.largest
         saved = self._checkpoint.calls if self._checkpoint is not None else 0
         self.calls = self.sweeps * self._calls_per_sweep + self._exchange.calls + saved

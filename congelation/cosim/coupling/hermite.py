@@ -13,6 +13,7 @@ from congelation.cosim.coupling.base import AdaptiveStepper, Coupling
 from congelation.cosim.coupling.ends import Ends
 from congelation.cosim.coupling.feedback import Feedback
 from congelation.cosim.coupling.polynomial import hermite
+from congelation.cosim.coupling.predictor import Predictor
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.result import RunEnded, Status
@@ -114,6 +115,7 @@ class _HermiteStepper(AdaptiveStepper):
         self._checkpoint = checkpoint
         self._is_saved = False
         self._ends = Ends(ensemble)
+        self._predictor = Predictor(self._ends)
         self._feedback = Feedback(ensemble, self._ends, coupling.acceleration == "broyden")
         links = ensemble.inputs.links
         self._forward = [
@@ -132,6 +134,7 @@ class _HermiteStepper(AdaptiveStepper):
 
     def start(self, time: float) -> None:
         self._ends.start(time)
+        self._predictor.start(time)
         self._is_saved = False
 
     def advance(self, time: float, end: float) -> None:
@@ -148,11 +151,11 @@ class _HermiteStepper(AdaptiveStepper):
             self._checkpoint.save()
             self._is_saved = True
         length = end - time
-        self._ends.open(end)
-        self._ends.predict()
+        self._ends.open(time, end)
+        self._predictor.predict()
         self._feedback.open(length)
         converged = self._sweeps(time, length, hermite(length))
-        self._error = self._ends.defect() if converged else math.inf
+        self._error = self._predictor.defect() if converged else math.inf
         return self._error
 
     def _sweeps(self, time: float, length: float, polynomial: Floats) -> bool:
@@ -219,6 +222,7 @@ class _HermiteStepper(AdaptiveStepper):
 
     def accept(self) -> None:
         self._ends.close()
+        self._predictor.close()
         self._is_saved = False
         self.estimated_error = max(self.estimated_error, self._error)
         if self._ensemble.system.discrete_links:
@@ -231,7 +235,7 @@ class _HermiteStepper(AdaptiveStepper):
 
     def worst(self) -> str:
         if math.isfinite(self._error):
-            return self._ensemble.inputs.links[self._ends.worst].name
+            return self._ensemble.inputs.links[self._predictor.worst].name
         return self._feedback.worst()
 
     def first_step(self) -> float:

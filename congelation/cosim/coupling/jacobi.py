@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from congelation.cosim.coupling.base import Coupling, Stepper, refuse_tolerance
-from congelation.cosim.coupling.monitor import HeldError
+from congelation.cosim.coupling.monitor import Watch
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 
@@ -46,11 +46,11 @@ class _JacobiStepper(Stepper):
         self._read = [ensemble.outputs.read[m] for m in slaves if ensemble.outputs.read_calls[m]]
         self._discrete = bool(ensemble.system.discrete_links)
         self._calls_per_sweep = len(self._hold) + len(self._step) + sum(ensemble.outputs.read_calls)
-        self._error = HeldError(ensemble)
+        self._watch = Watch(ensemble, extrapolated=False)
         self.sweeps = 0
 
     def start(self, time: float) -> None:
-        self._error.watch()
+        self._watch.held(time)
 
     def advance(self, time: float, end: float) -> None:
         length = end - time
@@ -62,10 +62,10 @@ class _JacobiStepper(Stepper):
             step(time, length)
         for read in self._read:
             read()
-        self._error.watch()
+        self._watch.held(end)
         self.sweeps += 1
 
     def finish(self) -> None:
-        self._error.flush()
-        self.estimated_error = self._error.largest
+        self._watch.flush()
+        self.estimated_error = self._watch.largest
         self.calls = self.sweeps * self._calls_per_sweep

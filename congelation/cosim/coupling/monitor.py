@@ -7,7 +7,7 @@ import numpy.typing as npt
 
 from congelation.cosim.ensemble import Ensemble
 
-__all__ = ["HeldError"]
+__all__ = ["Watch"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -15,12 +15,14 @@ WATCHED_ROWS = 256
 """Steps looked at together: one array operation then costs next to nothing per step."""
 
 
-class HeldError:
-    """The largest change of a link's value over one step, during which its input was held.
+class Watch:
+    """The largest distance of a link's value from where its held or extrapolated input was.
 
     Parameters
     ----------
     ensemble : Ensemble
+    extrapolated : bool
+        Whether inputs follow their derivative, rather than being held.
 
     Attributes
     ----------
@@ -28,27 +30,40 @@ class HeldError:
         Relative to the link's nominal value plus its size; complete after `flush`.
     """
 
-    def __init__(self, ensemble: Ensemble) -> None:
-        self._Y = ensemble.outputs.Y
-        self._source = ensemble.inputs.source
+    def __init__(self, ensemble: Ensemble, *, extrapolated: bool) -> None:
         self._nominal = ensemble.inputs.nominal
-        self._rows: Floats = np.zeros((WATCHED_ROWS, len(ensemble.inputs.links)))
-        self._count = 0
+        count = len(ensemble.inputs.links)
+        self._values: Floats = np.zeros((WATCHED_ROWS, count))
+        self._slopes: Floats = np.zeros((WATCHED_ROWS, count if extrapolated else 0))
+        self._times: list[float] = []
+        self._Y, self._source = ensemble.outputs.Y, ensemble.inputs.source
         self.largest = 0.0
 
-    def watch(self) -> None:
+    def held(self, time: float) -> None:
         """Look at the values that the links have now."""
-        if self._count == WATCHED_ROWS:
+        self._Y.take(self._source, out=self._values[self._row(time)], mode="clip")
+
+    def extrapolated(self, time: float, w: Floats) -> None:
+        """Look at values and derivatives, shape (2, L), that extrapolation starts from."""
+        row = self._row(time)
+        self._values[row], self._slopes[row] = w
+
+    def _row(self, time: float) -> int:
+        if len(self._times) == WATCHED_ROWS:
             self.flush()
-        self._Y.take(self._source, out=self._rows[self._count], mode="clip")
-        self._count += 1
+        self._times.append(time)
+        return len(self._times) - 1
 
     def flush(self) -> None:
         """Evaluate what was watched; the last values begin the next batch."""
-        rows = self._rows[: self._count]
-        if rows.shape[1] and self._count > 1:
-            change = np.abs(np.diff(rows, axis=0)) / (self._nominal + np.abs(rows[1:]))
-            self.largest = max(self.largest, float(change.max()))
-        if self._count:
-            self._rows[0] = rows[-1]
-            self._count = 1
+        count = len(self._times)
+        values, slopes = self._values[:count], self._slopes[:count]
+        if count > 1 and values.size:
+            change = np.diff(values, axis=0)
+            if slopes.size:
+                change -= np.diff(self._times)[:, None] * slopes[:-1]
+            relative = np.abs(change) / (self._nominal + np.abs(values[1:]))
+            self.largest = max(self.largest, float(relative.max()))
+        if count:
+            self._values[0], self._slopes[0] = values[-1], slopes[-1]
+            self._times = self._times[-1:]

@@ -26,15 +26,17 @@ def hermite(h: float) -> Floats:
         Its product with w is (u, u', u'', u''') at t, so that
         u(t + s) = C0 + C1 s + C2 s^2 / 2 + C3 s^3 / 6.
     """
-    a, b = 1.0 / h, 1.0 / (h * h)
-    return np.array(
-        [
-            [1.0, 0.0, 0.0, 0.0],
-            [0.0, 1.0, 0.0, 0.0],
-            [-6.0 * b, -4.0 * a, 6.0 * b, -2.0 * a],
-            [12.0 * a * b, 6.0 * b, -12.0 * a * b, 6.0 * b],
-        ]
+    a, b = 1.0 / h, 6.0 / (h * h)
+    c = 2.0 * a * b
+    # fmt: off
+    entries = (
+        1.0, 0.0, 0.0, 0.0,
+        0.0, 1.0, 0.0, 0.0,
+        -b, -4.0 * a, b, -2.0 * a,
+        c, b, -c, b,
     )
+    # fmt: on
+    return np.array(entries).reshape(4, 4)
 
 
 def extrapolation(nodes: Sequence[float], at: float) -> Floats:

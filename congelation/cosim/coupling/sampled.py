@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from congelation.cosim.coupling.base import Coupling, Stepper, refuse_tolerance
-from congelation.cosim.coupling.monitor import HeldError
+from congelation.cosim.coupling.monitor import Watch
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.errors import InvalidInput
@@ -67,14 +67,14 @@ class _SampledStepper(Stepper):
         self._at_once = coupling.delay == 0
         self._first = 0.0
         self._samples = 0
-        self._error = HeldError(ensemble)
+        self._watch = Watch(ensemble, extrapolated=False)
         self.sweeps = self.calls = 0
         ensemble.latched = True
 
     def start(self, time: float) -> None:
         self._first = time
         self._samples = 1
-        self._error.watch()
+        self._watch.held(time)
 
     def advance(self, time: float, end: float) -> None:
         while time < end:
@@ -100,10 +100,10 @@ class _SampledStepper(Stepper):
                 write()
             ensemble.copy_discrete()
             self.calls += sum(ensemble.inputs.write_calls)
-        self._error.watch()
+        self._watch.held(time)
 
     def finish(self) -> None:
-        self._error.flush()
-        self.estimated_error = self._error.largest
+        self._watch.flush()
+        self.estimated_error = self._watch.largest
         per_sweep = len(self._ensemble.slaves) + sum(self._ensemble.outputs.read_calls)
         self.calls += self.sweeps * per_sweep + self._exchange.calls
