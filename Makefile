@@ -14,7 +14,7 @@ help:
 	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
 	@echo "make fmus    build the FMUs into fmus/"
 	@echo "make format  put the sources into the format that make check asks for"
-	@echo "make lock    resolve the dependencies anew into requirements.lock"
+	@echo "make lock    resolve the dependencies anew into requirements*.lock"
 	@echo "make clean   remove what was generated"
 
 .venv/installed: pyproject.toml requirements.lock
@@ -22,6 +22,12 @@ help:
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --requirement requirements.lock
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
+	@touch $@
+
+# CoFmuPy, one of the engines that the tests run, pins other versions of FMPy and PythonFMU.
+.venv-cofmupy/installed: requirements-cofmupy.lock
+	$(PYTHON) -m venv .venv-cofmupy
+	.venv-cofmupy/bin/pip install --quiet --disable-pip-version-check --requirement requirements-cofmupy.lock
 	@touch $@
 
 fmus/manifest.json: .venv/installed $(SOURCES)
@@ -38,7 +44,7 @@ demo: fmus
 	done
 	@echo "Figures: results/<scenario>/figures; reports: results/<scenario>/report.html"
 
-test: fmus
+test: fmus .venv-cofmupy/installed
 	$(BIN)/python -m pytest
 
 check: .venv/installed
@@ -59,6 +65,8 @@ lock:
 	build/lock/bin/pip install --quiet uv
 	build/lock/bin/uv pip compile --quiet --universal --python-version 3.11 --all-extras \
 		--no-emit-index-url --no-header --output-file requirements.lock pyproject.toml
+	echo cofmupy==1.0.0 | build/lock/bin/uv pip compile --quiet --universal --python-version 3.11 \
+		--no-emit-index-url --no-header --output-file requirements-cofmupy.lock -
 
 clean:
-	rm -rf .venv build results fmus/*.fmu fmus/manifest.json .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv .venv-cofmupy build results fmus/*.fmu fmus/manifest.json .mypy_cache .ruff_cache .pytest_cache

@@ -1,0 +1,54 @@
+"""CoFmuPy: fixed step, Jacobi; initial outputs are not exchanged, so that the first step is done
+with the inputs of the configuration, 0 where it names none; a row holds the values at the end of
+a step under the time of its start.
+
+Started from the right inputs it is our `jacobi`; as it is, it deviates by the first order in the
+step.
+"""
+
+from pathlib import Path
+
+import pytest
+
+from tests.engines.engine import cofmupy, run
+from tests.engines.loops import LOOPS, STEP, Loop, columns, deviation, job, reference
+
+STEPS = 200
+NAMES = ("plant.x", "controller.u", "controller.theta_hat", "controller.rho_hat", "controller.z")
+
+
+def simulate(request: dict[str, object], folder: Path) -> dict[str, list[float]]:
+    return run("cofmupy_loop", request, folder, python=cofmupy())
+
+
+def first_inputs(loop: Loop, request: dict[str, object]) -> dict[str, dict[str, float]]:
+    """The inputs at the start, as our master exchanges them."""
+    start = reference(loop, STEPS)
+    inputs: dict[str, dict[str, float]] = {}
+    for source, output, target, input_ in request["connections"]:
+        value = start.values[0, start.columns.index(f"{source}.{output}")]
+        inputs.setdefault(target, {})[input_] = float(value)
+    return inputs
+
+
+@pytest.mark.parametrize("loop", LOOPS, ids=str)
+def test_agrees_with_the_master_from_the_same_inputs(loop: Loop, tmp_path: Path) -> None:
+    request = job(loop, STEPS)
+    found = simulate({**request, "inputs": first_inputs(loop, request)}, tmp_path)
+    expected = reference(loop, STEPS)
+    assert found["time"] == pytest.approx(expected.time[:-1], abs=1e-12)
+    assert deviation(found, expected, columns(loop, *NAMES), first_row=1) < 1e-9
+
+
+@pytest.mark.parametrize("loop", LOOPS, ids=str)
+def test_from_inputs_of_zero_it_deviates_by_the_first_order(loop: Loop, tmp_path: Path) -> None:
+    deviations = [
+        deviation(
+            simulate(job(loop, n * STEPS, STEP / n), tmp_path),
+            reference(loop, n * STEPS, STEP / n),
+            columns(loop, "plant.x"),
+            first_row=1,
+        )
+        for n in (1, 2)
+    ]
+    assert deviations[0] / deviations[1] == pytest.approx(2.0, rel=0.1)
