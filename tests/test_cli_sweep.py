@@ -45,9 +45,8 @@ def sweep(
         [*COMMAND, str(file), "--out", str(out), *arguments],
         capture_output=True,
         text=True,
-        timeout=120,
         check=False,
-        **{"env": environment(), **options},
+        **{"timeout": 120, "env": environment(), **options},
     )
 
 
@@ -196,12 +195,17 @@ metric = Metric("deadly", deadly, "kills its process where x(0) > 1.5", str)
 """
 
 
-def test_runs_that_kill_their_worker_are_rows_and_the_rest_goes_on(tmp_path: Path) -> None:
-    (tmp_path / "deadly.py").write_text(DEADLY)
-    info = tmp_path / "deadly-1.0.dist-info"
+def install(folder: Path, name: str, source: str) -> None:
+    """Put a package with the metric `name` into a folder, as pip would."""
+    (folder / f"{name}.py").write_text(source)
+    info = folder / f"{name}-1.0.dist-info"
     info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: deadly\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[congelation.metrics]\ndeadly = deadly:metric\n")
+    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text(f"[congelation.metrics]\n{name} = {name}:metric\n")
+
+
+def test_runs_that_kill_their_worker_are_rows_and_the_rest_goes_on(tmp_path: Path) -> None:
+    install(tmp_path, "deadly", DEADLY)
     axis = '[sweep]\n[[sweep.axes]]\nset = "plant.x0"\nvalues = [0, 2, 1, -1, 0.5]\n'
     metric = '[metrics]\ndead = {metric = "deadly", of = "plant.x"}'
     file = write(tmp_path, SCALAR + axis, ("[metrics]", metric))

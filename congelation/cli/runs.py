@@ -11,9 +11,13 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from congelation.cli.progress import Form, shown
 from congelation.cli.shared import FAILED, INTERRUPTED, complain, print_figures, print_summary
 from congelation.cosim.result import Status
+from congelation.errors import CongelationError, InvalidInput
 from congelation.study.batch import Plan, plan_sweep, run_sweep
+from congelation.study.estimate import estimate
+from congelation.study.executors import Cluster, Processes, Workers
 from congelation.study.run import run_scenario
 from congelation.study.scenario import Scenario
 from congelation.study.scenario_file import load_scenario
@@ -22,6 +26,9 @@ from congelation.study.store import Store
 from congelation.study.verify import LARGEST_DEVIATION
 
 __all__ = ["export_ssp", "run", "sweep"]
+
+MEASURED = 50
+"""A sweep of so many runs begins with an estimate of what it takes, which itself takes seconds."""
 
 
 def run(
@@ -59,28 +66,41 @@ def sweep(
         Path | None,
         typer.Option(help="Result directory.", show_default="results/<scenario>", metavar="DIR"),
     ] = None,
-    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Number of processes.", show_default="1")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="dask scheduler to use instead.", metavar="ADDRESS", show_default=False),
+    ] = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="Do what is missing in the result directory.")
     ] = False,
     dry_run: Annotated[
-        bool, typer.Option("--dry-run", help="Say how many runs there are, and stop.")
+        bool, typer.Option("--dry-run", help="Say what there is to do and what it takes, and stop.")
     ] = False,
+    progress: Annotated[
+        Form, typer.Option(help="A bar, one line of JSON at a time, or nothing.")
+    ] = Form.BAR,
 ) -> None:
     """Run all variants at every point of the scenario's sweep, in worker processes."""
     folder = out if out is not None else Path("results") / scenario.stem
+    if workers is not None and scheduler is not None:
+        raise InvalidInput("give --workers or --scheduler, not both")
+    place = Processes(workers or 1) if scheduler is None else Cluster(scheduler)
     plan = plan_sweep(_read(scenario), folder, resume=resume or dry_run)
-    print(f"{len(plan.run_ids)} runs, {len(plan.missing)} of them to do in {folder}")
-    if dry_run:
-        return
     try:
-        store = _sweep_with_progress(plan, workers)
+        _announce(plan, place, folder, measured=dry_run or len(plan.missing) >= MEASURED)
+        if dry_run:
+            return
+        with shown(plan, progress) as listener:
+            run_sweep(plan, workers=place, progress=listener)
     except KeyboardInterrupt as error:
         done = len(plan.shared.store.finished())
         complain(f"interrupted after {done} of {len(plan.run_ids)} runs; go on with --resume")
         raise typer.Exit(INTERRUPTED) from error
-    print_summary(store)
-    print(store.index)
+    print_summary(Store(folder))
+    print(Store(folder).index)
 
 
 def export_ssp(
@@ -101,21 +121,17 @@ def _read(file: Path) -> Scenario:
     return read_ssp(file) if file.suffix == ".ssp" else load_scenario(file)
 
 
-def _sweep_with_progress(plan: Plan, workers: int) -> Store:
-    columns = (
-        TextColumn("{task.completed} of {task.total} runs, {task.fields[failed]} failed"),
-        BarColumn(),
-        TaskProgressColumn(show_speed=True),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        done = len(plan.run_ids) - len(plan.missing)
-        task = bar.add_task("", total=len(plan.run_ids), completed=done, failed=0)
-        return run_sweep(
-            plan,
-            workers=workers,
-            progress=lambda done, failed: bar.update(task, completed=done, failed=failed),
-        )
+def _announce(plan: Plan, place: Workers, folder: Path, *, measured: bool) -> None:
+    """Say how many runs there are, and what those missing will take."""
+    print(f"{len(plan.run_ids)} runs, {len(plan.missing)} of them to do in {folder}")
+    if not (measured and plan.missing):
+        return
+    try:
+        print(estimate(plan, place), flush=True)
+    except InvalidInput:
+        raise
+    except CongelationError as error:
+        print(f"no estimate: {error}", flush=True)
 
 
 def _run_with_progress(scenario: Scenario, folder: Path, verify: bool) -> Store:

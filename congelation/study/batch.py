@@ -9,25 +9,24 @@ parent's death `resume` does what is missing.
 from __future__ import annotations
 
 import itertools
-import multiprocessing
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
-from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
 from congelation.study.execute import lost_row
+from congelation.study.executors import Processes, Workers
 from congelation.study.plan import plan_run, varied_settings
 from congelation.study.provenance import about
 from congelation.study.scenario import Scenario
 from congelation.study.store import Store
-from congelation.study.workers import Task, Work, process_executor, work
+from congelation.study.workers import Done, Task, Work, work
 
-__all__ = ["WORKER_DIED", "Plan", "plan_sweep", "run_sweep"]
+__all__ = ["WORKER_DIED", "Plan", "Tally", "plan_sweep", "run_sweep"]
 
 WORKER_DIED = "WORKER_DIED"
 """Status of a run that ended its worker process twice."""
@@ -35,17 +34,36 @@ WORKER_DIED = "WORKER_DIED"
 CHUNK = 16
 """Most runs per task: a task costs about a millisecond, and a dead worker's chunk is done again."""
 
-RUNS_PER_WORKER = 2000
-"""After so many runs workers are replaced: the FMUs' interpreter leaks a little with each."""
 
-Progress = Callable[[int, int], None]
-"""Called with the numbers of runs done and of those that failed."""
+@dataclass(frozen=True)
+class Tally:
+    """How far a sweep is.
+
+    Parameters
+    ----------
+    done, total : int
+        Runs.
+    failed : int
+        Those done by this call that did not reach their stop time.
+    memory : int
+        Bytes: the largest so far of each worker heard of, added up.
+    """
+
+    done: int
+    total: int
+    failed: int = 0
+    memory: int = 0
+
+
+Progress = Callable[[Tally], None]
+"""Called whenever some runs are done."""
 
 
 @dataclass(frozen=True)
 class Plan:
     """A sweep to do: all run_ids, in order, and the tasks that the store does not hold yet."""
 
+    scenario: Scenario
     shared: Work
     run_ids: tuple[str, ...]
     missing: tuple[Task, ...]
@@ -62,7 +80,7 @@ def plan_sweep(scenario: Scenario, folder: Path, *, resume: bool) -> Plan:
     sweep = scenario.sweep
     if sweep is None:
         raise InvalidInput(f"{scenario.file}: no [sweep]; give its axes, or use: congelation run")
-    store = Store(folder)
+    store = Store(folder.absolute())
     done = store.finished()
     if done and not resume:
         raise InvalidInput(
@@ -76,18 +94,21 @@ def plan_sweep(scenario: Scenario, folder: Path, *, resume: bool) -> Plan:
             run_id = plan_run(scenario, variant.name, settings, varied).run_id
             tasks[run_id] = Task(run_id, variant.name, settings)
     missing = tuple(task for run_id, task in tasks.items() if run_id not in done)
-    shared = Work(scenario, store, varied, sweep.trajectories, sweep.seed)
-    return Plan(shared, tuple(tasks), missing)
+    light = replace(scenario, sweep=None, text="")
+    shared = Work(light, store, varied, sweep.trajectories, sweep.seed, sweep.timeout)
+    return Plan(scenario, shared, tuple(tasks), missing)
 
 
-def run_sweep(plan: Plan, *, workers: int = 1, progress: Progress | None = None) -> Store:
+def run_sweep(
+    plan: Plan, *, workers: Workers | None = None, progress: Progress | None = None
+) -> Store:
     """Do what is missing of a sweep, and index everything that the directory holds.
 
     Parameters
     ----------
     plan : Plan
-    workers : int
-        Number of processes.
+    workers : Workers, optional
+        Where runs are done; one process here by default.
     progress : callable, optional
 
     Raises
@@ -99,12 +120,13 @@ def run_sweep(plan: Plan, *, workers: int = 1, progress: Progress | None = None)
     """
     shared, store = plan.shared, plan.shared.store
     store.create()
-    counts = _Counts(len(plan.run_ids) - len(plan.missing), progress)
+    place = workers if workers is not None else Processes()
+    counts = _Counts(plan, progress)
     waiting = deque(plan.missing)
     try:
         while waiting:
-            lost = _together(shared, waiting, workers, counts)
-            _one_by_one(shared, lost, counts)
+            lost = _together(shared, waiting, place, counts)
+            _one_by_one(shared, lost, place, counts)
     finally:
         _index(plan)
     return store
@@ -113,47 +135,47 @@ def run_sweep(plan: Plan, *, workers: int = 1, progress: Progress | None = None)
 class _Counts:
     """How many runs are done and have failed; tells whoever listens."""
 
-    def __init__(self, done: int, progress: Progress | None) -> None:
-        self._done, self._failed, self._progress = done, 0, progress
+    def __init__(self, plan: Plan, progress: Progress | None) -> None:
+        total = len(plan.run_ids)
+        self._tally = Tally(total - len(plan.missing), total)
+        self._memory: dict[str, int] = {}
+        self._progress = progress
 
-    def add(self, statuses: Sequence[str]) -> None:
-        self._done += len(statuses)
-        self._failed += sum(status != Status.COMPLETED.name for status in statuses)
+    def add(self, done: Done) -> None:
+        """Count what a worker has done."""
+        self._memory[done.worker] = done.memory
+        self.add_statuses(done.statuses)
+
+    def add_statuses(self, statuses: Sequence[str]) -> None:
+        """Count runs by how they ended."""
+        failed = sum(status != Status.COMPLETED.name for status in statuses)
+        self._tally = replace(
+            self._tally,
+            done=self._tally.done + len(statuses),
+            failed=self._tally.failed + failed,
+            memory=sum(self._memory.values()),
+        )
         if self._progress is not None:
-            self._progress(self._done, self._failed)
-
-
-@contextmanager
-def _workers(count: int, shared: Work) -> Iterator[Executor]:
-    """Worker processes; on any error they stop in the middle of their runs."""
-    stop = multiprocessing.get_context("spawn").Event()
-    executor = process_executor(count, shared, stop)
-    try:
-        yield executor
-    except BaseException:
-        stop.set()
-        raise
-    finally:
-        executor.shutdown(wait=True, cancel_futures=True)
+            self._progress(self._tally)
 
 
 def _together(
-    shared: Work, waiting: deque[Task], workers: int, counts: _Counts
+    shared: Work, waiting: deque[Task], workers: Workers, counts: _Counts
 ) -> tuple[Task, ...]:
     """Do tasks side by side, as many as fresh workers may do, or until one of them dies.
 
     Takes the tasks from `waiting`; returns those that were lost with a worker.
     """
-    budget = min(len(waiting), RUNS_PER_WORKER * workers)
-    chunks = _chunks(waiting, budget, max(1, min(CHUNK, budget // (4 * workers))))
     lost: list[Task] = []
-    with _workers(workers, shared) as executor:
-        running: dict[Future[list[str]], list[Task]] = {}
+    with workers.open() as crew:
+        budget = min(len(waiting), crew.runs or len(waiting))
+        chunks = _chunks(waiting, budget, max(1, min(CHUNK, budget // (4 * crew.size))))
+        running: dict[Future[Done], list[Task]] = {}
         while True:
             # Two chunks per worker are under way: enough that none waits, few to be lost.
-            free = 0 if lost else 2 * workers - len(running)
+            free = 0 if lost else 2 * crew.size - len(running)
             for chunk in itertools.islice(chunks, free):
-                running[_submit(executor, chunk)] = chunk
+                running[_submit(crew.executor, shared, chunk)] = chunk
             if not running:
                 break
             for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -162,16 +184,16 @@ def _together(
                     counts.add(future.result())
                 except BrokenExecutor:
                     lost += chunk
-    finished = shared.store.finished() if lost else set()
-    counts.add([shared.store.row(t.run_id)["status"] for t in lost if t.run_id in finished])
+    finished = {task.run_id for task in lost if shared.store.is_finished(task.run_id)}
+    counts.add_statuses([shared.store.row(run_id)["status"] for run_id in finished])
     return tuple(task for task in lost if task.run_id not in finished)
 
 
-def _submit(executor: Executor, chunk: list[Task]) -> Future[list[str]]:
+def _submit(executor: Executor, shared: Work, chunk: list[Task]) -> Future[Done]:
     try:
-        return executor.submit(work, chunk)
+        return executor.submit(work, shared, chunk)
     except BrokenExecutor as error:  # a worker died after the last wait
-        failed: Future[list[str]] = Future()
+        failed: Future[Done] = Future()
         failed.set_exception(error)
         return failed
 
@@ -184,18 +206,19 @@ def _chunks(waiting: deque[Task], budget: int, size: int) -> Iterator[list[Task]
         yield chunk
 
 
-def _one_by_one(shared: Work, tasks: Sequence[Task], counts: _Counts) -> None:
+def _one_by_one(shared: Work, tasks: Sequence[Task], workers: Workers, counts: _Counts) -> None:
     """Do tasks in a process of their own; one that kills it is recorded as a failed run."""
     remaining = deque(tasks)
     while remaining:
-        with _workers(1, shared) as executor:
+        with workers.alone() as crew:
             while remaining:
                 task = remaining.popleft()
                 try:
-                    counts.add(_submit(executor, [task]).result())
+                    counts.add(_submit(crew.executor, shared, [task]).result())
                 except BrokenExecutor:
-                    shared.store.write(_died(shared, task))
-                    counts.add([WORKER_DIED])
+                    if not shared.store.is_finished(task.run_id):
+                        shared.store.write(_died(shared, task))
+                    counts.add_statuses([shared.store.row(task.run_id)["status"]])
                     break
 
 
@@ -207,11 +230,11 @@ def _died(shared: Work, task: Task) -> dict[str, Any]:
 
 def _index(plan: Plan) -> None:
     """Write runs.parquet: the plan's finished runs in order, then others of the directory."""
-    store, scenario = plan.shared.store, plan.shared.scenario
+    store = plan.shared.store
     done = store.finished()
     ordered = [run_id for run_id in plan.run_ids if run_id in done]
     others = sorted(done.difference(plan.run_ids))
     if done:
-        described = about(scenario, plan.shared.varied)
+        described = about(plan.scenario, plan.shared.varied)
         sweep = {"planned": len(plan.run_ids), "seed": plan.shared.seed}
         store.compact([*ordered, *others], {**described, "sweep": sweep, "verification": {}})

@@ -189,6 +189,10 @@ class Store:
         parts = (self.root / "parts").glob("[!.]*.parquet")
         return {part.stem for part in parts if _is_readable(part)}
 
+    def is_finished(self, run_id: str) -> bool:
+        """Whether a run has a readable row."""
+        return _is_readable(self.part_file(run_id))
+
     def row(self, run_id: str) -> dict[str, Any]:
         """The row of a finished run."""
         rows: list[dict[str, Any]] = _read(self.part_file(run_id), "no such run").to_pylist()

@@ -137,6 +137,8 @@ class Sweep:
     seed : int
     trajectories : bool
         Whether trajectories are kept, or metrics alone.
+    timeout : float, optional
+        Seconds that a run may take.
     """
 
     lists: tuple[tuple[Settings, ...], ...] = ()
@@ -145,6 +147,7 @@ class Sweep:
     samples: int = 0
     seed: int = 0
     trajectories: bool = False
+    timeout: float | None = None
 
     @property
     def size(self) -> int:

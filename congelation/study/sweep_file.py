@@ -15,7 +15,7 @@ __all__ = ["read_sweep"]
 Flatten = Callable[[Section], dict[str, Scalar]]
 """Checks a table of settings against the scenario; one entry per scalar variable."""
 
-_KEYS = ("axes", "samples", "sampling", "seed", "trajectories")
+_KEYS = ("axes", "samples", "sampling", "seed", "timeout", "trajectories")
 
 
 def read_sweep(section: Section, flatten: Flatten) -> Sweep:
@@ -53,6 +53,7 @@ def read_sweep(section: Section, flatten: Flatten) -> Sweep:
         samples=_samples(section, bool(axes), sampling),
         seed=section.integer("seed", 0),
         trajectories=section.boolean("trajectories", False),
+        timeout=section.seconds("timeout") if "timeout" in section.data else None,
     )
 
 

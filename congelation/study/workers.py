@@ -1,33 +1,43 @@
-"""The side of a sweep that runs in worker processes, and the executors that hold them.
+"""The side of a sweep that runs in worker processes, here or on a cluster.
 
 A worker keeps its FMU instances between runs, writes each run into the store itself, and tells
-the parent only how the runs ended. Workers ignore Ctrl-C, which belongs to the parent; they end
-with it, also if it is killed.
+the parent only how the runs ended.
 """
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
+import resource
+import socket
+import tempfile
 import threading
-from collections.abc import Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
-from dataclasses import dataclass
-from multiprocessing.synchronize import Event
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 from congelation.cosim.pool import SlavePool
-from congelation.errors import CongelationError
+from congelation.errors import CongelationError, InvalidInput
 from congelation.study.execute import execute, lost_row
-from congelation.study.plan import plan_run
+from congelation.study.plan import Run, plan_run
 from congelation.study.scenario import Scenario
-from congelation.study.store import Store, StoreError
+from congelation.study.store import Store, StoreError, Trajectory
 from congelation.study.sweep import Settings
 
-__all__ = ["REFUSED", "Task", "Work", "process_executor", "work"]
+__all__ = ["REFUSED", "TIMED_OUT", "Done", "Pilot", "Task", "Work", "pilot", "stop_when", "work"]
 
 REFUSED = "REFUSED"
 """Status of a run that could not begin; its message is that of the InvalidInput."""
+
+TIMED_OUT = "TIMED_OUT"
+"""Status of a run that was ended because it took longer than the sweep allows."""
+
+GRACE = 5.0
+"""Seconds past the timeout after which a run that does not return from its FMUs is given up."""
+
+PILOT_FRACTIONS = (0.02, 0.2, 1.0)
+"""Parts of a run that a pilot does, until one took `PILOT_SECONDS`."""
+PILOT_SECONDS = 0.3
 
 
 @dataclass(frozen=True)
@@ -46,13 +56,17 @@ class Work:
     Parameters
     ----------
     scenario : Scenario
+        Without its sweep and its text, which no worker needs.
     store : Store
+        With an absolute path: a worker may have another current folder.
     varied : tuple of str
         Names of the settings that rows show.
     trajectories : bool
         Whether they are kept.
     seed : int
         Of the sweep.
+    timeout : float, optional
+        Seconds that a run may take.
     """
 
     scenario: Scenario
@@ -60,77 +74,178 @@ class Work:
     varied: tuple[str, ...]
     trajectories: bool
     seed: int
+    timeout: float | None = None
+
+
+@dataclass(frozen=True)
+class Done:
+    """What a worker tells of its tasks: how each run ended, and its largest memory so far."""
+
+    worker: str
+    statuses: tuple[str, ...]
+    memory: int
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What one run takes: seconds, and bytes of the result directory."""
+
+    seconds: float
+    size: int
 
 
 class _Stopped(Exception):
     """The parent asked to stop."""
 
 
+class _TimedOut(Exception):
+    """The run took longer than it may."""
+
+
 class _Worker:
     """What a worker process holds between tasks."""
 
-    def __init__(self, shared: Work, stop: Event) -> None:
-        self._shared = shared
-        self._stop = stop
-        self._pool = SlavePool()
+    def __init__(self, shared: Work) -> None:
+        self.shared = shared
+        self.pool = SlavePool()
+        self._deadline: float | None = None
 
     def do(self, task: Task) -> str:
         """Do and store one run; returns its status."""
-        shared = self._shared
-        run = plan_run(shared.scenario, task.variant, task.settings, shared.varied, shared.seed)
+        shared = self.shared
+        if shared.store.is_finished(task.run_id):  # by a worker that died before it could tell
+            return str(shared.store.row(task.run_id)["status"])
+        run = self.run(task)
+        trajectory: Trajectory | None = None
         try:
-            row, trajectory = execute(run, shared.scenario, self._pool, self._check)
+            row, trajectory = self._timed(run)
         except StoreError:
             raise
+        except _TimedOut:
+            row = lost_row(run, shared.scenario, TIMED_OUT, self._too_long())
         except CongelationError as error:
-            row, trajectory = lost_row(run, shared.scenario, REFUSED, str(error)), None
+            row = lost_row(run, shared.scenario, REFUSED, str(error))
         shared.store.write(row, trajectory if shared.trajectories else None)
         return str(row["status"])
 
+    def run(self, task: Task) -> Run:
+        """The run of a task, planned as the parent planned it."""
+        shared = self.shared
+        run = plan_run(shared.scenario, task.variant, task.settings, shared.varied, shared.seed)
+        if run.run_id != task.run_id:
+            raise InvalidInput(
+                f"{_name()}: congelation or the FMUs are not those that planned the sweep; "
+                "install the same version everywhere, leave both alone meanwhile, and --resume"
+            )
+        return run
+
+    def _timed(self, run: Run) -> tuple[dict[str, object], Trajectory]:
+        limit = self.shared.timeout
+        if limit is None:
+            return execute(run, self.shared.scenario, self.pool, self._check)
+        self._deadline = time.monotonic() + limit
+        alarm = threading.Timer(limit + GRACE, self._give_up, (run,))
+        alarm.daemon = True
+        alarm.start()
+        try:
+            return execute(run, self.shared.scenario, self.pool, self._check)
+        finally:
+            alarm.cancel()
+            self._deadline = None
+
     def _check(self, done: float) -> None:
-        if self._stop.is_set():
+        if _PROCESS.stopped():
             raise _Stopped
+        if self._deadline is not None and time.monotonic() > self._deadline:
+            raise _TimedOut
+
+    def _give_up(self, run: Run) -> None:
+        """End this process, which an FMU does not give back."""
+        self.shared.store.write(lost_row(run, self.shared.scenario, TIMED_OUT, self._too_long()))
+        os._exit(1)
+
+    def _too_long(self) -> str:
+        return f"The run took longer than {self.shared.timeout:g} s; see sweep.timeout."
 
 
-_WORKER: list[_Worker] = []
-"""The one worker of this process, once it has started."""
+class _Process:
+    """The state of this worker process; dask's worker processes may have several threads."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.stopped: Callable[[], bool] = lambda: False
+        self._worker: _Worker | None = None
+
+    def worker(self, shared: Work) -> _Worker:
+        """The worker for a sweep; that of another sweep frees its FMUs first."""
+        if self._worker is None or self._worker.shared != shared:
+            if self._worker is not None:
+                self._worker.pool.close()
+            self._worker = _Worker(shared)
+        return self._worker
 
 
-def _start(shared: Work, stop: Event) -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    _WORKER[:] = [_Worker(shared, stop)]
+_PROCESS = _Process()
 
 
-def _end_with_parent() -> None:
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)  # whatever is being written stands under a temporary name
+def stop_when(stopped: Callable[[], bool]) -> None:
+    """Let this process end its runs in the middle as soon as `stopped` is true."""
+    _PROCESS.stopped = stopped
 
 
-def work(tasks: Sequence[Task]) -> list[str]:
-    """Do some runs in this worker process; returns the status of each one done.
+def work(shared: Work, tasks: Sequence[Task]) -> Done:
+    """Do some runs in this process, one at a time.
 
     Raises
     ------
     StoreError
         If a result cannot be written: the others could not be either.
+    InvalidInput
+        If this process has another version of the code or of the FMUs than the parent.
     """
-    done = []
-    for task in tasks:
-        try:
-            done.append(_WORKER[0].do(task))
-        except _Stopped:
-            break
-    return done
+    done: list[str] = []
+    with _PROCESS.lock:
+        worker = _PROCESS.worker(shared)
+        for task in tasks:
+            try:
+                done.append(worker.do(task))
+            except _Stopped:
+                break
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return Done(_name(), tuple(done), memory)
 
 
-def process_executor(workers: int, shared: Work, stop: Event) -> Executor:
-    """Worker processes on this machine, each started afresh: FMUs do not survive a fork."""
-    return ProcessPoolExecutor(
-        workers,
-        mp_context=multiprocessing.get_context("spawn"),
-        initializer=_start,
-        initargs=(shared, stop),
-    )
+def pilot(shared: Work, task: Task) -> Pilot:
+    """Measure a run, or as much of it as takes long enough to be measured; stores nothing.
+
+    Raises
+    ------
+    CongelationError
+        If the run cannot begin.
+    """
+    with _PROCESS.lock, tempfile.TemporaryDirectory() as folder:
+        worker, store = _PROCESS.worker(shared), Store(Path(folder))
+        run = worker.run(task)
+        execute(_part(run, PILOT_FRACTIONS[0]), shared.scenario, worker.pool)  # loads the FMUs
+        for fraction in PILOT_FRACTIONS:
+            begin = time.perf_counter()
+            row, trajectory = execute(_part(run, fraction), shared.scenario, worker.pool)
+            store.write(row, trajectory if shared.trajectories else None)
+            seconds = time.perf_counter() - begin
+            if seconds > PILOT_SECONDS:
+                break
+        size = store.part_file(run.run_id).stat().st_size
+        if shared.trajectories:
+            size += round(store.trajectory_file(run.run_id).stat().st_size / fraction)
+        return Pilot(seconds / fraction, size)
+
+
+def _part(run: Run, fraction: float) -> Run:
+    """The first part of a run."""
+    experiment = run.case.experiment
+    stop = experiment.start_time + fraction * (experiment.stop_time - experiment.start_time)
+    return replace(run, case=replace(run.case, experiment=replace(experiment, stop_time=stop)))
+
+
+def _name() -> str:
+    return f"{socket.gethostname()}:{os.getpid()}"
