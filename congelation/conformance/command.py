@@ -19,7 +19,9 @@ __all__ = ["check"]
 
 
 def check(
-    fmus: Annotated[list[Path], typer.Argument(help="The FMUs.", show_default=False)],
+    fmus: Annotated[
+        list[Path], typer.Argument(metavar="FMU...", help="The FMUs.", show_default=False)
+    ],
     junit: Annotated[Path | None, typer.Option(help="Write JUnit XML to this file.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write JSON to this file.")] = None,
     rule: Annotated[

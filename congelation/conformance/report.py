@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import xml.etree.ElementTree as ElementTree
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
@@ -43,7 +43,7 @@ def _told(finding: Finding) -> str:
     return "\n".join(lines)
 
 
-def to_table(fmu: FmuReport, *, everything: bool = False) -> RenderableType:
+def to_table(fmu: FmuReport, *, everything: bool = False) -> Table:
     """One FMU's findings; without `everything`, those that passed or do not apply are left out."""
     table = Table(title=str(fmu.path), title_justify="left", show_lines=True)
     for column in ("rule", "section", "outcome", "finding"):
@@ -59,14 +59,16 @@ def to_table(fmu: FmuReport, *, everything: bool = False) -> RenderableType:
             Text(finding.outcome.value, style=_STYLES[finding.outcome]),
             escape(finding.rule.sentence) + (f"\n[dim]{escape(told)}[/dim]" if told else ""),
         )
-    line = Text(f"{fmu.path.name}: {summary(fmu)}")
-    return Group(table, line) if table.row_count else line
+    return table
 
 
 def print_report(report: Report, console: Console, *, everything: bool = False) -> None:
-    """Print all tables."""
+    """Print a table for each FMU, as far as there is something to show, and its outcomes."""
     for fmu in report.fmus:
-        console.print(to_table(fmu, everything=everything))
+        table = to_table(fmu, everything=everything)
+        if table.row_count:
+            console.print(table)
+        console.print(Text(f"{fmu.path.name}: {summary(fmu)}"), soft_wrap=True)
 
 
 def to_json(report: Report) -> str:
