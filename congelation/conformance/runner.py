@@ -204,7 +204,7 @@ def _spawn(job: Job, limit: float) -> tuple[int | None, str]:
     try:
         _, said = process.communicate(json.dumps(asdict(job)), timeout=limit)
     except subprocess.TimeoutExpired:
-        # The whole session, since a rule may have started a host of its own.
+        # All its processes, since a rule may have started a host of its own.
         os.killpg(process.pid, SIGKILL)
         process.communicate()
         return None, ""
