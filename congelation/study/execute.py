@@ -11,7 +11,7 @@ from congelation.cosim.pool import SlavePool
 from congelation.cosim.result import Result
 from congelation.study.metrics import metric
 from congelation.study.plan import Run
-from congelation.study.scenario import MetricSpec, Scenario
+from congelation.study.scenario import Case, MetricSpec, Scenario
 from congelation.study.store import Trajectory, code_version
 
 __all__ = ["execute", "lost_row"]
@@ -56,7 +56,7 @@ def execute(
         progress=progress,
         pool=pool,
     )
-    metrics = {spec.name: _measure(spec, result) for spec in scenario.metrics}
+    metrics = {spec.name: _measure(spec, run.case, result) for spec in scenario.metrics}
     steps, wall_time = result.statistics.macro_steps, result.statistics.wall_time
     row = _row(run, result.status.name, result.message, metrics, steps, wall_time)
     units = {column: _unit(run, column) for column in result.columns}
@@ -91,13 +91,14 @@ def _row(
     }
 
 
-def _measure(spec: MetricSpec, result: Result) -> float | None:
+def _measure(spec: MetricSpec, case: Case, result: Result) -> float | None:
     if not result.completed:
         return None  # a metric of half a run would pass for one of a whole run
+    found = metric(spec.metric)
+    if found.loop:
+        return found.evaluate(case, result.time, result.columns, result.values, **spec.options)
     values = result.column(spec.of)
-    return metric(spec.metric).evaluate(
-        result.time, values.reshape(len(values), -1), **spec.options
-    )
+    return found.evaluate(result.time, values.reshape(len(values), -1), **spec.options)
 
 
 def _unit(run: Run, column: str) -> str:

@@ -20,14 +20,18 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import InvalidInput, nearest
+
+if TYPE_CHECKING:  # a scenario names its metrics, so its module imports this one's
+    from congelation.study.scenario import Case
 
 __all__ = ["ENTRY_POINTS", "METRICS", "Metric", "metric", "norm"]
 
@@ -53,6 +57,9 @@ class Metric:
         Maps the unit of the variables to that of the metric.
     scalar : bool
         True if the metric is of one variable, not of a group.
+    loop : bool
+        True if the metric is of the closed loop as a whole: a scenario gives no `of`, and it is
+        ``evaluate(case, time, columns, values)``, the states of the loop among the columns.
     """
 
     name: str
@@ -60,6 +67,7 @@ class Metric:
     definition: str
     unit: Callable[[str], str]
     scalar: bool = False
+    loop: bool = False
 
     @property
     def options(self) -> dict[str, bool]:
@@ -133,6 +141,14 @@ def drift(time: Array, values: Array) -> float:
     return float(norm(values[-1:] - values[:1])[0])
 
 
+def lyapunov(case: Case, time: Array, columns: Sequence[str], values: Array) -> float:
+    """The largest relative margin of the Lyapunov certificate along the run."""
+    # Here, as it brings CasADi, whose import the workers of other sweeps do without.
+    from congelation.study.lyapunov import along
+
+    return along(case, time, columns, values).worst
+
+
 def _same(unit: str) -> str:
     return unit
 
@@ -202,6 +218,14 @@ _BUILT_IN = (
         "|v(t_end) - v(t_start)|; of an estimate: its parameter drift (Ioannou and Sun 1996,"
         " sec. 8.3.1)",
         _same,
+    ),
+    Metric(
+        "lyapunov",
+        lyapunov,
+        "max_t of (worst V' over the admitted theta + claimed rate) / (sum of |terms|), ell at the"
+        " centre of theta's box; above 1e-9 the certificate fails (Chen and Astolfi 2018)",
+        _ratio,
+        loop=True,
     ),
 )
 

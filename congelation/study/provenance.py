@@ -41,11 +41,14 @@ def about(scenario: Scenario, varied: Sequence[str]) -> dict[str, Any]:
 
 def _about_metric(spec: MetricSpec, descriptions: Mapping[str, Description]) -> dict[str, Any]:
     component, _, name = spec.of.partition(".")
-    variables = descriptions[component].variables.values()
-    group = {v.unit for v in variables if v.name == name or v.name.startswith(f"{name}[")}
+    group = {
+        v.unit
+        for v in (descriptions[component].variables.values() if component else ())
+        if v.name == name or v.name.startswith(f"{name}[")
+    }
     return {
         "metric": spec.metric,
-        "of": spec.of,
+        "of": spec.of or "the closed loop",
         "options": dict(spec.options),
         "definition": metric(spec.metric).definition,
         "unit": metric(spec.metric).unit(group.pop() if len(group) == 1 else ""),

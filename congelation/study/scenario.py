@@ -62,7 +62,10 @@ class Experiment:
 
 @dataclass(frozen=True)
 class MetricSpec:
-    """A metric of a group of variables, under the name of its column."""
+    """A metric of a group of variables, under the name of its column.
+
+    `of` is empty where the metric is of the closed loop as a whole.
+    """
 
     name: str
     metric: str

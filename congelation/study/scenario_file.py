@@ -6,16 +6,23 @@ a mistake is told with its place in the file before anything runs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
 from congelation.cosim.description import describe
-from congelation.cosim.system import Component, Connection, System
+from congelation.cosim.system import Component, Connection, Recorded, System
 from congelation.errors import InvalidInput, nearest
 from congelation.study.metrics import metric
-from congelation.study.scenario import EXPERIMENT, FigureSpec, MetricSpec, Scenario, Variant
+from congelation.study.scenario import (
+    EXPERIMENT,
+    Case,
+    FigureSpec,
+    MetricSpec,
+    Scenario,
+    Variant,
+)
 from congelation.study.start_values import Scalar, profile_values, start_values
 from congelation.study.sweep_file import read_sweep
 from congelation.toml import Section, read_document
@@ -127,12 +134,13 @@ def _find_fmu(section: Section) -> Path:
 def _metric(section: Section, name: str) -> MetricSpec:
     if name in _RESERVED or "." in name:
         raise InvalidInput(f"{section.file}: {section.path}: choose a name other than '{name}'")
-    section.require("metric", "of")
+    section.require("metric")
     found = section.attempt("metric", partial(metric, section.text("metric")))
-    section.only(("metric", "of", *found.options))
+    of = () if found.loop else ("of",)
+    section.require(*of).only(("metric", *of, *found.options))
     section.require(*(option for option, required in found.options.items() if required))
     options = {key: section.number(key) for key in section.data if key in found.options}
-    return MetricSpec(name, found.name, section.text("of"), options)
+    return MetricSpec(name, found.name, section.text("of") if of else "", options)
 
 
 def _figure(section: Section) -> FigureSpec:
@@ -211,10 +219,25 @@ def _with_record(document: Section, scenario: Scenario) -> dict[str, object]:
     columns = list(experiment.attempt("record", partial(resolved.recorded, wanted)))
     for spec in scenario.metrics:
         section = document.section("metrics").section(spec.name)
+        if metric(spec.metric).loop:
+            case = replace(scenario, experiment=_recording(experiment, columns)).case({})
+            states = section.attempt("metric", partial(_loop_states, case))
+            columns += section.attempt("metric", partial(resolved.recorded, states))
+            continue
         group = section.attempt("of", partial(resolved.recorded, [spec.of]))
         section.attempt("of", partial(metric(spec.metric).check_size, len(group)))
         columns += group
     for figure, section in zip(scenario.figures, document.sections("figures"), strict=True):
         columns += section.attempt("panels", partial(resolved.recorded, figure.variables))
-    names = dict.fromkeys(column.name for column in columns)
-    return {**experiment.data, "record": list(names)}
+    return _recording(experiment, columns)
+
+
+def _recording(experiment: Section, columns: Iterable[Recorded]) -> dict[str, object]:
+    return {**experiment.data, "record": list(dict.fromkeys(c.name for c in columns))}
+
+
+def _loop_states(case: Case) -> tuple[str, ...]:
+    # Here, as it brings CasADi, which scenarios without such a metric do without.
+    from congelation.study.lyapunov import loop_states
+
+    return loop_states(case)

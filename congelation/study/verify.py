@@ -73,6 +73,8 @@ class Reference:
     loop : ClosedLoop
     profiles : tuple of Profile
         theta(t), component by component, without the constants dtheta.
+    offsets : tuple of float
+        The constants dtheta.
     segments : tuple of Segment
         theta(t) from the start time to the stop time.
     start : ndarray
@@ -83,8 +85,14 @@ class Reference:
     controller: str
     loop: ClosedLoop
     profiles: tuple[Profile, ...]
+    offsets: tuple[float, ...]
     segments: tuple[Segment, ...]
     start: Floats
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The loop's states as ``component.variable``."""
+        return tuple(self._name(name) for name in self.loop.state_names)
 
     def solve(self, times: Floats) -> dict[str, Floats]:
         """The solution at increasing `times`: the values of each ``component.variable``.
@@ -131,7 +139,13 @@ def reference(case: Case) -> Reference:
     profiles, offsets = _theta(values[plant.name])
     segments = _segments(case, profiles, offsets)
     return Reference(
-        plant.name, controller.name, loop, tuple(profiles), segments, loop.start(states)
+        plant.name,
+        controller.name,
+        loop,
+        tuple(profiles),
+        tuple(offsets),
+        segments,
+        loop.start(states),
     )
 
 
@@ -164,7 +178,7 @@ def _loop_members(system: System) -> tuple[Component, Component]:
     roles = {_spec(component)["role"]: component for component in system.components}
     if len(system.components) != 2 or set(roles) != set(_ROLES):
         names = ", ".join(component.name for component in system.components)
-        raise InvalidInput(f"--verify: a plant and its controller are needed, not {names}")
+        raise InvalidInput(f"a plant and its controller are needed, not {names}")
     return roles["plant"], roles["controller"]
 
 
@@ -175,8 +189,7 @@ def _spec(component: Component) -> dict[str, Any]:
             spec: dict[str, Any] = json.loads(archive.read("resources/spec.json"))
     except KeyError as error:
         raise InvalidInput(
-            f"--verify: {component.fmu.name} has no resources/spec.json; only FMUs of "
-            "build_fmu.py can be verified"
+            f"{component.fmu.name} has no resources/spec.json; only FMUs of build_fmu.py have one"
         ) from error
     return spec
 
@@ -184,7 +197,7 @@ def _spec(component: Component) -> dict[str, Any]:
 def _models(plant: Component, controller: Component) -> tuple[Model, Model]:
     specs = [_spec(plant), _spec(controller)]
     if len({json.dumps([s["form"], s["structure"]], sort_keys=True) for s in specs}) > 1:
-        raise InvalidInput(f"--verify: {plant.name} and {controller.name} are of different specs")
+        raise InvalidInput(f"{plant.name} and {controller.name} are of different specs")
     return models_of(specs[0]["form"], specs[0]["structure"])
 
 
@@ -219,7 +232,7 @@ def _check_loop(
     given = {link.name for link in system.resolve().links}
     for name in sorted(wanted ^ given):
         verb = "is missing" if name in wanted else "is none of the loop's"
-        raise InvalidInput(f"--verify: connection '{name}' {verb}")
+        raise InvalidInput(f"connection '{name}' {verb}")
 
 
 def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]:

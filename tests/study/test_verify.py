@@ -127,12 +127,12 @@ MISTAKES = {
     "open loop": (
         ', "controller.u -> plant.u"',
         "",
-        "--verify: connection 'controller.u -> plant.u' is missing",
+        "connection 'controller.u -> plant.u' is missing",
     ),
     "two plants": (
         "[experiment]",
         f'[components.other]\nfmu = "{FMUS}/ScalarPlant.fmu"\n[experiment]',
-        "--verify: a plant and its controller are needed, not plant, controller, other",
+        "a plant and its controller are needed, not plant, controller, other",
     ),
 }
 
