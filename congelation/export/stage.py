@@ -68,7 +68,9 @@ def stage(fmu: FmuSpec, spec: Spec, sources: Path, folder: Path) -> Staged:
     for name, text in modules.items():
         if name != "slave.py":
             text = text.replace('KEY = ""', f'KEY = "{fmu.name} {digest}"')
-            (package_folder / name).write_text(text, "utf-8")
+            file = package_folder / name
+            file.parent.mkdir(exist_ok=True)
+            file.write_text(text, "utf-8")
     slave = folder / f"{package}_slave.py"
     slave.write_text(modules["slave.py"].replace(f"from {_SHARED}.", f"from {package}."), "utf-8")
     (folder / "spec.json").write_text(about, "utf-8")
@@ -89,10 +91,11 @@ def stage(fmu: FmuSpec, spec: Spec, sources: Path, folder: Path) -> Staged:
 
 
 def _modules(fmu: FmuSpec, interface: Interface, sources: Path) -> dict[str, str]:
-    """File name and text of every module of the FMU."""
+    """File, relative to the FMU's package, and text of every module of the FMU."""
     files = sorted((sources / _SHARED).glob("*.py"))
     modules = {file.name: file.read_text("utf-8") for file in files}
-    modules["signals.py"] = Path(signals.__file__).read_text("utf-8")
+    for file in sorted(Path(signals.__file__).parent.glob("*.py")):
+        modules[f"signals/{file.name}"] = file.read_text("utf-8")
     modules["slave.py"] = (sources / fmu.folder / "slave.py").read_text("utf-8")
     modules["equations.py"] = equations_module(fmu.model, fmu.special)
     modules["interface.py"] = _interface_module(fmu, interface)

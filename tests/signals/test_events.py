@@ -8,7 +8,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from congelation.signals import (
-    COINCIDENT,
     Chirp,
     Profile,
     ProfileError,
@@ -18,6 +17,7 @@ from congelation.signals import (
     Telegraph,
     profile,
 )
+from congelation.signals.profiles import COINCIDENT
 
 from .strategies import amplitude, period, phase, squares, terms, time
 

@@ -1,56 +1,107 @@
-"""The file travels into FMUs: on its own, on Python 3.9, with the standard library."""
+"""The package travels into FMUs: on its own, on Python 3.9, with the standard library."""
 
 import ast
-import importlib.util
+import importlib
 import inspect
+import shutil
 import sys
 from pathlib import Path
+from zipfile import ZipFile
+
+import pytest
 
 from congelation import signals
+from congelation.export.spec import read_spec
+from congelation.export.stage import stage
 
-SOURCE = Path(inspect.getsourcefile(signals)).read_text()
+ROOT = Path(__file__).resolve().parents[2]
+FOLDER = Path(signals.__file__).parent
+SOURCES = {file.name: file.read_text("utf-8") for file in sorted(FOLDER.glob("*.py"))}
+each_module = pytest.mark.parametrize("name", SOURCES)
 
 
-def test_imports_the_standard_library_alone():
-    tree = ast.parse(SOURCE)
-    names = set()
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
+@each_module
+def test_imports_the_standard_library_and_its_neighbours(name):
+    for node in ast.walk(ast.parse(SOURCES[name])):
+        if isinstance(node, ast.ImportFrom) and node.level:
+            assert node.level == 1
+            assert f"{node.module}.py" in SOURCES
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0
-            names.add(node.module)
-    assert {name.split(".")[0] for name in names} <= set(sys.stdlib_module_names)
+            assert node.module.split(".")[0] in sys.stdlib_module_names
+        elif isinstance(node, ast.Import):
+            assert {alias.name.split(".")[0] for alias in node.names} <= sys.stdlib_module_names
 
 
-def test_is_python_3_9():
-    ast.parse(SOURCE, feature_version=(3, 9))
-    assert "from __future__ import annotations" in SOURCE
-    assert "strict=" not in SOURCE
-    assert "slots=True" not in SOURCE
-    assert "kw_only" not in SOURCE
+@each_module
+def test_is_python_3_9(name):
+    source = SOURCES[name]
+    ast.parse(source, feature_version=(3, 9))
+    assert "from __future__ import annotations" in source
+    assert "strict=" not in source
+    assert "slots=True" not in source
+    assert "kw_only" not in source
 
 
-def test_loads_under_another_name(tmp_path):
-    path = tmp_path / "signals_0123456789.py"
-    path.write_text(SOURCE)
-    spec = importlib.util.spec_from_file_location("signals_0123456789", path)
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[spec.name] = module
+def test_loads_under_another_name(tmp_path, monkeypatch):
+    shutil.copytree(FOLDER, tmp_path / "fmu_0123456789" / "signals")
+    monkeypatch.syspath_prepend(tmp_path)
+    before = set(sys.modules)
+    module = importlib.import_module("fmu_0123456789.signals")
+    new = set(sys.modules) - before
     try:
-        spec.loader.exec_module(module)
         assert module.profile(1.0, module.Sine(2.0, 1.0)).value(0.0) == 1.0
+        assert module.Sine is not signals.Sine
+        assert all(other.startswith("fmu_0123456789") for other in new)
     finally:
-        del sys.modules[spec.name]
+        for other in new:
+            del sys.modules[other]
+
+
+def test_travels_whole():
+    """The built plant holds every module, to the letter."""
+    with ZipFile(ROOT / "fmus" / "ScalarPlant.fmu") as archive:
+        inside = {
+            name.rsplit("/", 1)[1]: archive.read(name).decode("utf-8")
+            for name in archive.namelist()
+            if "/signals/" in name
+        }
+    assert inside == SOURCES
+
+
+def staged_digest(folder):
+    spec = read_spec(ROOT / "specs" / "scalar.toml")
+    return stage(spec.plant, spec, ROOT / "fmu_src", folder).digest
+
+
+def test_every_module_counts_in_the_digest(tmp_path, monkeypatch):
+    """A change of any module gives an FMU of another name, so that none runs another's code."""
+    copy = tmp_path / "signals"
+    shutil.copytree(FOLDER, copy)
+    digests = [staged_digest(tmp_path / "as_is")]
+    monkeypatch.setattr(signals, "__file__", str(copy / "__init__.py"))
+    for name, source in SOURCES.items():
+        (copy / name).write_text(source + "# changed\n", "utf-8")
+        digests.append(staged_digest(tmp_path / f"changed_{name}"))
+        (copy / name).write_text(source, "utf-8")
+    assert len(set(digests)) == 1 + len(SOURCES)
+    assert staged_digest(tmp_path / "restored") == digests[0]
+
+
+@each_module
+def test_exports_exist(name):
+    module = signals if name == "__init__.py" else sys.modules[f"{signals.__name__}.{name[:-3]}"]
+    assert list(module.__all__)
+    assert all(vars(module)[exported] is not None for exported in module.__all__)
 
 
 def test_exports_are_the_public_names():
-    defined = {
-        node.name
-        for node in ast.parse(SOURCE).body
-        if isinstance(node, (ast.ClassDef, ast.FunctionDef)) and not node.name.startswith("_")
+    imported = {
+        alias.asname or alias.name
+        for node in ast.parse(SOURCES["__init__.py"]).body
+        if isinstance(node, ast.ImportFrom) and node.level
+        for alias in node.names
     }
-    assert set(signals.__all__) == defined
+    assert set(signals.__all__) == imported
     assert list(signals.__all__) == sorted(signals.__all__)
 
 

@@ -8,14 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from congelation.signals import (
-    MAX_TELEGRAPH_JUMPS,
-    ProfileError,
-    Telegraph,
-    _log,
-    profile,
-    splitmix64,
-)
+from congelation.signals import ProfileError, Telegraph, profile, splitmix64
+from congelation.signals.telegraph import MAX_TELEGRAPH_JUMPS, _log
 
 
 def jump_times(term, count):
