@@ -79,8 +79,9 @@ def unpack(description: Description) -> Path:
 def load(description: Description, name: str, log: Log) -> FMU2Slave:
     """Instantiate an FMU.
 
-    The shared library stays loaded until the process ends: unloading one that holds the Python
-    interpreter is a known cause of crashes, and FMI does not ask for it.
+    The shared library stays loaded until the process ends, and is unloaded just before: left to
+    the C library, pythonfmu's destructor runs after what it works on is gone, and aborts one
+    process in some dozens at its very end.
 
     Parameters
     ----------
@@ -112,6 +113,7 @@ def load(description: Description, name: str, log: Log) -> FMU2Slave:
         raise InvalidInput(
             f"{description.path}: {error} (needed: a binary for {fmpy.platform})"
         ) from error
+    multiprocessing.util.Finalize(None, fmpy.freeLibrary, (slave.dll._handle,), exitpriority=2)
     slave.callbacks = _callbacks(log, formatted=(folder / "resources/slavemodule.txt").exists())
     slave.component = slave.fmi2Instantiate(
         name.encode(),
