@@ -11,7 +11,7 @@ from congelation.cli.shared import print_figures, print_summary
 from congelation.errors import InvalidInput
 from congelation.report.exchange import write_csv, write_mat
 from congelation.report.html import write_html
-from congelation.report.summary import number
+from congelation.report.summary import number, summarise_groups
 from congelation.report.table import aligned
 from congelation.study.store import Store, metrics_of, settings_of
 
@@ -27,10 +27,19 @@ def report(
     html: Annotated[
         Path | None, typer.Option(help="Also write one self-contained HTML file.", metavar="FILE")
     ] = None,
+    by: Annotated[
+        list[str] | None,
+        typer.Option(help="Group runs by this column (repeatable).", show_default=False),
+    ] = None,
 ) -> None:
     """Summarise a result directory and draw its figures, from stored results alone."""
     store = Store(folder)
-    print_summary(store)
+    if by:
+        summary = summarise_groups(store.read(), by)
+        header = [", ".join(by), *summary.columns]
+        print(aligned(header, [[label, *cells] for label, cells in summary.lines]))
+    else:
+        print_summary(store)
     print_figures(store)
     if html is not None:
         write_html(store, html)

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from congelation.errors import InvalidInput, nearest
 from congelation.study.store import Study
 
-__all__ = ["Summary", "metric_definitions", "number", "summarise"]
+__all__ = ["Summary", "metric_definitions", "number", "summarise", "summarise_groups"]
 
 
 _QUANTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
@@ -23,6 +24,52 @@ class Summary:
 
     columns: tuple[str, ...]
     lines: tuple[tuple[str, tuple[str, ...]], ...]
+
+
+def summarise_groups(study: Study, by: Sequence[str]) -> Summary:
+    """A line per group of runs with equal values of some columns; quantiles of every metric.
+
+    Parameters
+    ----------
+    study : Study
+    by : sequence of str
+        Columns: `variant`, `status`, or varied settings.
+
+    Raises
+    ------
+    InvalidInput
+        If there is no such column.
+    """
+    known = ["variant", "status", *study.about["varied"]]
+    for name in by:
+        if name not in known:
+            raise InvalidInput(f"'{name}' is no column to group by; {nearest(name, known)}")
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    ordered = sorted(study.rows, key=lambda row: [_order(row[name]) for name in by])
+    for row in ordered:
+        groups.setdefault(tuple(number(row[name]) for name in by), []).append(row)
+    metrics = study.about["metrics"]
+    columns = ["runs", "completed", *(_label(name, about) for name, about in metrics.items())]
+    lines = []
+    for label, rows in groups.items():
+        completed = sum(row["status"] == "COMPLETED" for row in rows)
+        cells = [str(len(rows)), str(completed)]
+        cells += [_spread([row[name] for row in rows]) for name in metrics]
+        lines.append((", ".join(label), tuple(cells)))
+    return Summary(tuple(columns), tuple(lines))
+
+
+def _order(value: object) -> tuple[int, float, str]:
+    """A key that sorts numbers before texts, and missing values last."""
+    if isinstance(value, int | float):
+        return 0, float(value), ""
+    return (2, 0.0, "") if value is None else (1, 0.0, str(value))
+
+
+def _spread(values: Sequence[float | None]) -> str:
+    """The median and, in brackets, the outer quantiles."""
+    low, median, high = (_quantile(values, q) for q in _QUANTILES.values())
+    return median if low == high else f"{median} [{low}, {high}]"
 
 
 def summarise(study: Study) -> Summary:

@@ -86,7 +86,10 @@ def plan_sweep(scenario: Scenario, folder: Path, *, resume: bool) -> Plan:
         raise InvalidInput(
             f"{folder} holds {len(done)} finished runs; give --resume to go on, or another --out"
         )
-    varied = varied_settings(scenario, next(sweep.points()))
+    first = next(sweep.points(), None)
+    if first is None:
+        raise InvalidInput(f"{scenario.file}: sweep.constraints leave no point")
+    varied = varied_settings(scenario, first)
     tasks: dict[str, Task] = {}
     for point in sweep.points():
         for variant in scenario.variants:

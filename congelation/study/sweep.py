@@ -4,10 +4,10 @@ A sweep crosses lists of settings with a sample of random ones:
 
     points = (list 1) x (list 2) x .. x (sample of all random axes together)
 
-A list may set several things at once, which runs them side by side (a zip). The sample is drawn
-in the unit cube and carried to each axis by the inverse of its distribution function, so that
-plain random numbers, Latin hypercubes and Sobol sequences work for every distribution. Equal
-seeds give equal points.
+less the points that break a constraint. A list may set several things at once, which runs them
+side by side (a zip). The sample is drawn in the unit cube and carried to each axis by the
+inverse of its distribution function, so that plain random numbers, Latin hypercubes and Sobol
+sequences work for every distribution. Equal seeds give equal points.
 
 References
 ----------
@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtri
 
+from congelation.study.constraint import Constraint
 from congelation.study.start_values import Scalar
 
 __all__ = ["DISTRIBUTIONS", "SAMPLINGS", "Distribution", "RandomAxis", "Settings", "Sweep"]
@@ -139,6 +140,8 @@ class Sweep:
         Whether trajectories are kept, or metrics alone.
     timeout : float, optional
         Seconds that a run may take.
+    constraints : tuple of Constraint
+        Points that do not satisfy all of them are left out.
     """
 
     lists: tuple[tuple[Settings, ...], ...] = ()
@@ -148,17 +151,20 @@ class Sweep:
     seed: int = 0
     trajectories: bool = False
     timeout: float | None = None
+    constraints: tuple[Constraint, ...] = ()
 
     @property
     def size(self) -> int:
-        """Number of points."""
+        """Number of points, before the constraints leave some out."""
         return math.prod(len(entries) for entries in self.lists) * max(self.samples, 1)
 
     def points(self) -> Iterator[dict[str, Scalar]]:
         """The settings of every point, the sample's varying fastest."""
         sample = list(self._sample())
         for combination in itertools.product(*self.lists, sample):
-            yield {name: value for settings in combination for name, value in settings.items()}
+            point = {name: value for settings in combination for name, value in settings.items()}
+            if all(constraint.holds(point) for constraint in self.constraints):
+                yield point
 
     def _sample(self) -> Iterator[Settings]:
         if not self.axes:

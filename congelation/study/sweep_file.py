@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 
 from congelation.errors import nearest
+from congelation.study.constraint import Constraint
 from congelation.study.start_values import Scalar
 from congelation.study.sweep import DISTRIBUTIONS, SAMPLINGS, RandomAxis, Settings, Sweep
 from congelation.toml import Section
@@ -15,7 +17,7 @@ __all__ = ["read_sweep"]
 Flatten = Callable[[Section], dict[str, Scalar]]
 """Checks a table of settings against the scenario; one entry per scalar variable."""
 
-_KEYS = ("axes", "samples", "sampling", "seed", "timeout", "trajectories")
+_KEYS = ("axes", "constraints", "samples", "sampling", "seed", "timeout", "trajectories")
 
 
 def read_sweep(section: Section, flatten: Flatten) -> Sweep:
@@ -53,8 +55,16 @@ def read_sweep(section: Section, flatten: Flatten) -> Sweep:
         samples=_samples(section, bool(axes), sampling),
         seed=section.integer("seed", 0),
         trajectories=section.boolean("trajectories", False),
+        constraints=tuple(_constraints(section, taken)),
         timeout=section.seconds("timeout") if "timeout" in section.data else None,
     )
+
+
+def _constraints(section: Section, swept: Iterable[str]) -> Iterator[Constraint]:
+    for text in section.texts("constraints"):
+        constraint = section.attempt("constraints", partial(Constraint, text))
+        section.attempt("constraints", partial(constraint.check_names, swept))
+        yield constraint
 
 
 def _samples(section: Section, needed: bool, sampling: str) -> int:
