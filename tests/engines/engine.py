@@ -40,10 +40,30 @@ def run(
     return rows
 
 
-def tbb() -> dict[str, str]:
-    """The environment in which Ecos finds its library libtbb.so.12, which pip puts aside."""
-    libraries = [f for f in files("tbb") or () if f.name == "libtbb.so.12"]
-    return {"LD_LIBRARY_PATH": str(Path(libraries[0].locate()).resolve().parent)}
+def installed(package: str, name: str) -> Path:
+    """A file that a package has installed."""
+    return next(Path(f.locate()).resolve() for f in files(package) or () if f.name == name)
+
+
+def ecos(folder: Path) -> dict[str, str]:
+    """The environment that Ecos needs.
+
+    Its library looks for libtbb.so.12, which pip puts where no loader looks, and unpacks archives
+    with the command unzip, which not every machine has.
+    """
+    commands = folder / "commands"
+    commands.mkdir(parents=True, exist_ok=True)
+    unzip = commands / "unzip"  # -o ARCHIVE -d FOLDER
+    unzip.write_text(
+        f"#!{sys.executable}\n"
+        "import sys, zipfile\n"
+        "zipfile.ZipFile(sys.argv[2]).extractall(sys.argv[4])\n"
+    )
+    unzip.chmod(0o755)
+    return {
+        "LD_LIBRARY_PATH": str(installed("tbb", "libtbb.so.12").parent),
+        "PATH": f"{commands}{os.pathsep}{os.environ['PATH']}",
+    }
 
 
 def cofmupy() -> Path:

@@ -207,6 +207,22 @@ def test_archives_of_other_tools_are_run_to_a_tolerance(archive: Path) -> None:
     assert "plant.x" in experiment.record
 
 
+def test_fmus_that_cannot_step_back_are_run_in_fixed_steps(archive: Path, tmp_path: Path) -> None:
+    plain = without_annotations(archive)
+    fmu = tmp_path / "ScalarPlant.fmu"
+    fmu.write_bytes(contents(plain)["resources/ScalarPlant.fmu"])
+    entries = contents(fmu)
+    xml = entries["modelDescription.xml"]
+    assert b'canGetAndSetFMUstate="true"' in xml
+    entries["modelDescription.xml"] = xml.replace(
+        b'canGetAndSetFMUstate="true"', b'canGetAndSetFMUstate="false"'
+    )
+    pack(fmu, entries)
+    file = pack(plain, {**contents(plain), "resources/ScalarPlant.fmu": fmu.read_bytes()})
+    experiment = read_ssp(file).case({}).experiment
+    assert (experiment.coupling, experiment.step, experiment.tolerance) == ("jacobi", 1e-3, None)
+
+
 def test_the_kinds_of_the_connectors_tell_the_direction(archive: Path) -> None:
     turned = changed(
         archive,

@@ -1,18 +1,22 @@
-"""An SSP archive, unpacked."""
+"""SSP archives as files: one that lies unpacked, and what is to become one."""
 
 from __future__ import annotations
 
+import hashlib
 import multiprocessing.util
 import shutil
 import tempfile
 import zipfile
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import unquote
 
 from congelation.errors import InvalidInput
 
-__all__ = ["Archive", "unpack"]
+__all__ = ["Archive", "Contents", "unpack"]
+
+# The earliest date of a ZIP archive: equal content, equal bytes.
+_DATE = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True)
@@ -60,3 +64,26 @@ def unpack(file: Path) -> Archive:
     except (zipfile.BadZipFile, NotImplementedError, OSError) as error:
         raise InvalidInput(f"{file}: is no SSP archive: {error}") from error
     return Archive(file, folder)
+
+
+@dataclass
+class Contents:
+    """The files of an archive to be written, by name."""
+
+    entries: dict[str, bytes] = field(default_factory=dict)
+
+    def add(self, name: str, content: bytes) -> str:
+        """Add a file under its name, or a longer one if another content has that."""
+        if self.entries.get(name, content) != content:
+            stem, dot, suffix = name.rpartition(".")
+            name = f"{stem}_{hashlib.sha256(content).hexdigest()[:8]}{dot}{suffix}"
+        self.entries[name] = content
+        return name
+
+    def write(self, target: Path) -> None:
+        """Write the archive; equal contents give equal bytes."""
+        with zipfile.ZipFile(target, "w") as archive:
+            for name, content in sorted(self.entries.items()):
+                info = zipfile.ZipInfo(name, _DATE)
+                info.compress_type = zipfile.ZIP_DEFLATED
+                archive.writestr(info, content)

@@ -118,7 +118,7 @@ _TRANSFORMATIONS = tuple(
 
 def _annotated(root: etree._Element, archive: Archive) -> dict[str, object]:
     """What an archive of congelation says beyond SSP 1.0; nothing for others."""
-    path = f"ssd:Annotations/ssc:Annotation[@type='{ANNOTATION}']/*"
+    path = f"ssd:DefaultExperiment/ssd:Annotations/ssc:Annotation[@type='{ANNOTATION}']/*"
     element = root.find(path, NAMESPACES)
     if element is None:
         return {}

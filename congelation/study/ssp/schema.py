@@ -30,8 +30,9 @@ NAMESPACES = {
     "ssv": _SSP + PARAMETERS,
     "ssc": _SSP + "SystemStructureCommon",
     "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+    "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
 }
-"""By prefix. libcosim and Ecos look for these prefixes, not for the namespaces."""
+"""By prefix. libcosim, Ecos and OMSimulator look for these prefixes, not for the namespaces."""
 
 
 def tag(element: str) -> str:

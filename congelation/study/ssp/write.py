@@ -10,12 +10,10 @@ Equal scenarios and FMUs give byte-identical archives.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
-import zipfile
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
 
@@ -26,6 +24,7 @@ from congelation.cosim.start import StartValue
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import InvalidInput, nearest
 from congelation.study.scenario import Experiment, Scenario, Variant
+from congelation.study.ssp.archive import Contents
 from congelation.study.ssp.schema import ANNOTATION, DESCRIPTION, NAMESPACES, SSD, tag
 from congelation.study.store import replace_whole
 
@@ -34,8 +33,8 @@ __all__ = ["write_ssp"]
 _VERSION = "1.0"
 # One name for the sets of all components: tools apply all sets of a name together.
 _PARAMETER_SET = "initialValues"
-# The earliest date of a ZIP archive: equal content, equal bytes.
-_DATE = (1980, 1, 1, 0, 0, 0)
+# What the FMUs take where nobody gives a tolerance.
+_SLAVE_TOLERANCE = 1e-8
 
 
 def write_ssp(
@@ -70,49 +69,31 @@ def write_ssp(
     chosen = _variant(scenario, variant)
     case = scenario.case(chosen.settings)
     resolved = case.system.resolve()
-    archive = _Archive()
+    contents = Contents()
     root = _root(scenario, file)
-    system = _add(root, "ssd:System", name=file.stem)
+    system = _add(root, "ssd:System", name="system")
     ties = [*_ties(resolved), *(_derivative_ties(resolved) if derivatives else ())]
     connectors = _connectors(resolved, ties, case.experiment)
     elements = _add(system, "ssd:Elements")
     for place, member in enumerate(resolved.members):
         fmu = member.description.path
-        source = archive.add(f"resources/{fmu.name}", fmu.read_bytes())
+        source = contents.add(f"resources/{fmu.name}", fmu.read_bytes())
         component = _add(elements, "ssd:Component", name=member.name, source=source)
         component.set("implementation", "CoSimulation")
         _add_connectors(component, connectors[place])
-        parameters = _parameter_set(member.start, archive)
-        bound = archive.add(f"resources/{member.name}.ssv", parameters)
+        parameters = _parameter_set(member.start, contents)
+        bound = contents.add(f"resources/{member.name}.ssv", parameters)
         _add(_add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=bound)
     _add_connections(system, resolved, ties)
-    _add_experiment(root, case.experiment)
+    default = _add_experiment(root, case.experiment)
+    _annotate_step(system, default, case.experiment)
     beyond = _beyond_ssp(scenario, chosen, case.experiment)
-    etree.SubElement(_annotation(root, ANNOTATION), "Scenario").text = json.dumps(beyond, indent=2)
-    archive.add(SSD, _document(root))
-    replace_whole(file, archive.write)
-
-
-@dataclass
-class _Archive:
-    """The files of the archive, by name."""
-
-    entries: dict[str, bytes] = field(default_factory=dict)
-
-    def add(self, name: str, content: bytes) -> str:
-        """Add a file under its name, or a longer one if another content has that."""
-        if self.entries.get(name, content) != content:
-            stem, dot, suffix = name.rpartition(".")
-            name = f"{stem}_{hashlib.sha256(content).hexdigest()[:8]}{dot}{suffix}"
-        self.entries[name] = content
-        return name
-
-    def write(self, target: Path) -> None:
-        with zipfile.ZipFile(target, "w") as archive:
-            for name, content in sorted(self.entries.items()):
-                info = zipfile.ZipInfo(name, _DATE)
-                info.compress_type = zipfile.ZIP_DEFLATED
-                archive.writestr(info, content)
+    # OMSimulator refuses annotations of the whole, so this one is the experiment's.
+    etree.SubElement(_annotation(default, ANNOTATION), "Scenario").text = json.dumps(
+        beyond, indent=2
+    )
+    contents.add(SSD, _document(root))
+    replace_whole(file, contents.write)
 
 
 def _variant(scenario: Scenario, name: str | None) -> Variant:
@@ -213,7 +194,7 @@ def _add_connections(
         )
 
 
-def _parameter_set(start: Iterable[StartValue], archive: _Archive) -> bytes:
+def _parameter_set(start: Iterable[StartValue], contents: Contents) -> bytes:
     root = etree.Element(
         tag("ssv:ParameterSet"), nsmap={"ssv": NAMESPACES["ssv"], "ssc": NAMESPACES["ssc"]}
     )
@@ -222,16 +203,16 @@ def _parameter_set(start: Iterable[StartValue], archive: _Archive) -> bytes:
     parameters = _add(root, "ssv:Parameters")
     for item in start:
         parameter = _add(parameters, "ssv:Parameter", name=item.variable.name)
-        value = _packed(item.value, archive)
+        value = _packed(item.value, contents)
         _add(parameter, f"ssv:{item.variable.type}", value=value)
     return _document(root)
 
 
-def _packed(value: object, archive: _Archive) -> str:
+def _packed(value: object, contents: Contents) -> str:
     """A start value as text; a file that one names goes into the archive."""
     if isinstance(value, str) and Path(value).is_file():
         table = Path(value)
-        return archive.add(f"resources/{table.name}", table.read_bytes())
+        return contents.add(f"resources/{table.name}", table.read_bytes())
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float) and math.isinf(value):
@@ -239,14 +220,32 @@ def _packed(value: object, archive: _Archive) -> str:
     return str(value)
 
 
-def _add_experiment(root: etree._Element, experiment: Experiment) -> None:
-    """The times; and the step in the annotation that libcosim reads."""
+def _add_experiment(root: etree._Element, experiment: Experiment) -> etree._Element:
+    """The times; SSP has no place for the step."""
     default = _add(root, "ssd:DefaultExperiment")
     default.set("startTime", repr(experiment.start_time))
     default.set("stopTime", repr(experiment.stop_time))
-    if experiment.step is not None and experiment.tolerance is None:
-        algorithm = _add(_annotation(default, "com.opensimulationplatform"), "osp:Algorithm")
-        _add(algorithm, "osp:FixedStepAlgorithm", baseStepSize=repr(experiment.step))
+    return default
+
+
+def _annotate_step(system: etree._Element, default: etree._Element, experiment: Experiment) -> None:
+    """The step, where libcosim and OMSimulator look for it."""
+    if experiment.step is None or experiment.tolerance is not None:
+        return
+    step = repr(experiment.step)
+    libcosim = _annotation(default, "com.opensimulationplatform")
+    _add(_add(libcosim, "osp:Algorithm"), "osp:FixedStepAlgorithm", baseStepSize=step)
+    omsimulator = _add(_annotation(system, "org.openmodelica"), "oms:Annotations")
+    master = _add(_add(omsimulator, "oms:SimulationInformation"), "oms:FixedStepMaster")
+    # It hands its tolerance to the FMUs.
+    tolerance = experiment.slave_tolerance or _SLAVE_TOLERANCE
+    for name, value in (
+        ("description", "oms-ma"),
+        ("stepSize", step),
+        ("absoluteTolerance", repr(tolerance)),
+        ("relativeTolerance", repr(tolerance)),
+    ):
+        master.set(name, value)
 
 
 def _beyond_ssp(scenario: Scenario, variant: Variant, experiment: Experiment) -> dict[str, object]:
@@ -256,7 +255,8 @@ def _beyond_ssp(scenario: Scenario, variant: Variant, experiment: Experiment) ->
         "variants": [{"name": variant.name}],
         "experiment": {key: v for key, v in asdict(experiment).items() if v is not None},
         "metrics": {
-            m.name: {"metric": m.metric, "of": m.of, **m.options} for m in scenario.metrics
+            m.name: {"metric": m.metric, **({"of": m.of} if m.of else {}), **m.options}
+            for m in scenario.metrics
         },
         "figures": [
             {key: v for key, v in asdict(figure).items() if v is not None}
@@ -266,7 +266,11 @@ def _beyond_ssp(scenario: Scenario, variant: Variant, experiment: Experiment) ->
 
 
 def _annotation(parent: etree._Element, kind: str) -> etree._Element:
-    return _add(_add(parent, "ssd:Annotations"), "ssc:Annotation", type=kind)
+    """A new annotation of an element; they come last in it."""
+    annotations = parent.find(tag("ssd:Annotations"))
+    if annotations is None:
+        annotations = _add(parent, "ssd:Annotations")
+    return _add(annotations, "ssc:Annotation", type=kind)
 
 
 def _document(root: etree._Element) -> bytes:

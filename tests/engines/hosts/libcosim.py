@@ -44,7 +44,7 @@ def main(request, answer):
     with open(request) as file:
         job = json.load(file)
     log_output_level(CosimLogLevel.WARNING)
-    nanoseconds = round(job["step"] * 1e9)
+    nanoseconds = job["step"] and round(job["step"] * 1e9)
     if "ssp" in job:
         execution = CosimExecution.from_ssp_file(job["ssp"], nanoseconds)
     else:
