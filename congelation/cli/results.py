@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ from congelation.cli.shared import print_figures, print_summary
 from congelation.errors import InvalidInput
 from congelation.report.exchange import write_csv, write_mat
 from congelation.report.html import write_html
-from congelation.report.summary import number, summarise_groups
+from congelation.report.summary import number, pareto_front, summarise_groups
 from congelation.report.table import aligned
 from congelation.study.store import Store, metrics_of, settings_of
 
@@ -31,6 +32,13 @@ def report(
         list[str] | None,
         typer.Option(help="Group runs by this column (repeatable).", show_default=False),
     ] = None,
+    pareto: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="List the runs that no other beats in these metrics (repeatable), less is better.",
+            show_default=False,
+        ),
+    ] = None,
 ) -> None:
     """Summarise a result directory and draw its figures, from stored results alone."""
     store = Store(folder)
@@ -38,7 +46,9 @@ def report(
         summary = summarise_groups(store.read(), by)
         header = [", ".join(by), *summary.columns]
         print(aligned(header, [[label, *cells] for label, cells in summary.lines]))
-    else:
+    if pareto:
+        _print_rows(pareto_front(store.read(), pareto))
+    if not (by or pareto):
         print_summary(store)
     print_figures(store)
     if html is not None:
@@ -53,12 +63,7 @@ def ls(
     ] = None,
 ) -> None:
     """List the runs of a result directory, also while a sweep writes into it."""
-    rows = [row for row in Store(folder).rows() if status in (None, row["status"])]
-    if not rows:
-        print("no runs")
-        return
-    columns = ["run_id", "variant", *settings_of(rows[0]), "status", *metrics_of(rows[0])]
-    print(aligned(columns, [[number(row[name]) for name in columns] for row in rows]))
+    _print_rows([row for row in Store(folder).rows() if status in (None, row["status"])])
 
 
 def show(
@@ -94,3 +99,12 @@ def export(
     if mat is not None:
         write_mat(Store(folder), mat)
         print(mat)
+
+
+def _print_rows(rows: Sequence[Mapping[str, object]]) -> None:
+    """One line per run: what it is, how it ended, its metrics."""
+    if not rows:
+        print("no runs")
+        return
+    columns = ["run_id", "variant", *settings_of(rows[0]), "status", *metrics_of(rows[0])]
+    print(aligned(columns, [[number(row[name]) for name in columns] for row in rows]))

@@ -149,6 +149,15 @@ def lyapunov(case: Case, time: Array, columns: Sequence[str], values: Array) -> 
     return along(case, time, columns, values).worst
 
 
+def deviation(case: Case, time: Array, columns: Sequence[str], values: Array) -> float:
+    """The largest distance from the monolithic solution, relative to a variable's peak."""
+    from congelation.study.store import Trajectory  # as above
+    from congelation.study.verify import compare, reference
+
+    found = compare(reference(case), Trajectory(time, tuple(columns), values, {}))
+    return max(entry.relative for entry in found)
+
+
 def _same(unit: str) -> str:
     return unit
 
@@ -224,6 +233,14 @@ _BUILT_IN = (
         lyapunov,
         "max_t of (worst V' over the admitted theta + claimed rate) / (sum of |terms|), ell at the"
         " centre of theta's box; above 1e-9 the certificate fails (Chen and Astolfi 2018)",
+        _ratio,
+        loop=True,
+    ),
+    Metric(
+        "deviation",
+        deviation,
+        "max over time and recorded variables of |co-simulated - monolithic| / peak, the latter by"
+        " DOP853 (Hairer, Norsett and Wanner 1993): the error of the coupling",
         _ratio,
         loop=True,
     ),

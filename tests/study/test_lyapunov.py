@@ -1,4 +1,4 @@
-"""The metric `lyapunov`: the certificate along a run that was co-simulated."""
+"""The metrics of a closed loop: its certificate along a run, and the error of the coupling."""
 
 from __future__ import annotations
 
@@ -56,6 +56,15 @@ def test_the_states_of_the_loop_are_recorded_for_it(tmp_path: Path) -> None:
     changes = (METRIC, ('record = ["plant.x", "controller.theta_hat"]', 'record = ["plant.u"]'))
     record = load_scenario(write(tmp_path, SCALAR, *changes)).case({}).experiment.record
     assert {"plant.x", "controller.theta_hat[1]"} <= set(record)
+
+
+def test_the_deviation_is_that_of_verify(tmp_path: Path) -> None:
+    metric = ("[metrics]", '[metrics]\nerror = {metric = "deviation"}')
+    scenario = load_scenario(write(tmp_path, SCALAR, metric))
+    study = run_scenario(scenario, tmp_path / "out", verify=True).read()
+    for row in study.rows:
+        verified = study.about["verification"][row["run_id"]]
+        assert row["error"] == pytest.approx(max(d["relative"] for d in verified), rel=1e-6)
 
 
 MISTAKES = {
