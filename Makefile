@@ -42,7 +42,9 @@ demo: fmus
 		$(BIN)/congelation run scenarios/$$name.toml --out results/$$name || exit $$?; \
 		$(BIN)/congelation report results/$$name --html results/$$name/report.html || exit $$?; \
 	done
+	@$(BIN)/congelation sweep scenarios/rivals.toml --workers 2 --resume --out results/rivals
 	@echo "Figures: results/<scenario>/figures; reports: results/<scenario>/report.html"
+	@echo "The sweep of the rival adaptation laws: results/rivals/runs.parquet"
 
 test: fmus .venv-cofmupy/installed
 	$(BIN)/python -m pytest

@@ -25,6 +25,9 @@ __all__ = [
 
 FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
 
+# Characters that the labels and one column of a table are expected to take.
+LABEL_WIDTH, COLUMN_WIDTH = 28, 16
+
 
 def complain(text: str) -> None:
     """One line on stderr."""
@@ -34,14 +37,18 @@ def complain(text: str) -> None:
 def print_table(
     title: str, columns: Sequence[str], lines: Sequence[tuple[str, Sequence[str]]]
 ) -> None:
-    """A table with a label at the head of each line."""
-    table = Table(title=escape(title), title_justify="left")
-    table.add_column("")
-    for column in columns:
-        table.add_column(escape(column), justify="right")
-    for label, cells in lines:
-        table.add_row(escape(label), *(escape(cell) for cell in cells))
-    Console().print(table)
+    """A table with a label at the head of each line, in as many parts as the terminal asks for."""
+    console = Console()
+    count = max(1, (console.width - LABEL_WIDTH) // COLUMN_WIDTH)
+    for first in range(0, len(columns), count):
+        part = slice(first, first + count)
+        table = Table(title=escape(title) if first == 0 else None, title_justify="left")
+        table.add_column("")
+        for column in columns[part]:
+            table.add_column(escape(column), justify="right")
+        for label, cells in lines:
+            table.add_row(escape(label), *(escape(cell) for cell in cells[part]))
+        console.print(table)
 
 
 def print_summary(store: Store) -> None:
