@@ -13,7 +13,16 @@ import pytest
 from congelation.study.store import Store
 from tests.study.scenarios import SCALAR, write
 from tests.test_cli import congelation, one_line
-from tests.test_cli_sweep import SWEEP, environment, install, rows, sweep
+from tests.test_cli_sweep import (
+    LONG,
+    SWEEP,
+    environment,
+    install,
+    rows,
+    start,
+    sweep,
+    until,
+)
 
 pytestmark = pytest.mark.slow
 
@@ -104,6 +113,20 @@ def test_groups_have_quantiles(tmp_path: Path) -> None:
     assert low == high or f"[{low}, {high}]" in second
     line = one_line(congelation("report", out, "--by", "varian"), 2)
     assert "'varian' is no column to group by; did you mean 'variant'?" in line
+
+
+def test_a_sweep_can_be_reported_while_it_runs(tmp_path: Path) -> None:
+    file, out = write(tmp_path, SCALAR + SWEEP, LONG), tmp_path / "out"
+    process = start(file, out)
+    try:
+        until(Store(out).index.is_file)
+        assert process.poll() is None
+        found = Store(out).read().rows
+    finally:
+        process.kill()
+        process.communicate()
+    assert 16 <= len(found) < 24
+    assert congelation("report", out).returncode == 0
 
 
 def unprivileged(*command: str) -> subprocess.CompletedProcess[str]:

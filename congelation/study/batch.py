@@ -136,13 +136,15 @@ def run_sweep(
 
 
 class _Counts:
-    """How many runs are done and have failed; tells whoever listens."""
+    """How many runs are done and have failed; tells whoever listens, and keeps an index of them."""
 
     def __init__(self, plan: Plan, progress: Progress | None) -> None:
         total = len(plan.run_ids)
         self._tally = Tally(total - len(plan.missing), total)
         self._memory: dict[str, int] = {}
         self._progress = progress
+        self._plan = plan
+        self._index_at = max(2 * self._tally.done, CHUNK)
 
     def add(self, done: Done) -> None:
         """Count what a worker has done."""
@@ -160,6 +162,10 @@ class _Counts:
         )
         if self._progress is not None:
             self._progress(self._tally)
+        if self._index_at <= self._tally.done < self._tally.total:
+            # Whenever their number has doubled: readers see it grow, and each row is read twice.
+            _index(self._plan)
+            self._index_at = 2 * self._tally.done
 
 
 def _together(
