@@ -1,0 +1,132 @@
+"""Run the benchmarks and write their tables into docs/benchmarks.md."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from benchmarks import accuracy, macro_step, micro
+from benchmarks.engines import ENGINES
+from benchmarks.machine import description
+from benchmarks.tables import accuracy_table, macro_step_table, micro_table, solver_table
+
+__all__ = ["FULL", "QUICK", "Effort", "main", "replaced", "sections"]
+
+PAGE = Path(__file__).absolute().parent.parent / "docs" / "benchmarks.md"
+BEGIN, END = "<!-- written by python -m benchmarks -->", "<!-- end of what it writes -->"
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How long to measure.
+
+    Parameters
+    ----------
+    engines : tuple of str
+        By their names in ENGINES.
+    figures : tuple of (str, str)
+        Scenario and title.
+    rounds : int
+        Repetitions of everything that is quick.
+    macro_steps : int
+        Of one run, for the cost per macro step.
+    stop_time : float or None
+        Of the figures, in seconds; None: their scenarios' own.
+    finest : float
+        Smallest communication step with held inputs, in seconds.
+    tolerances : tuple of float
+    orders : (int, int)
+        n and p of the law that is derived.
+    """
+
+    engines: tuple[str, ...] = tuple(ENGINES)
+    figures: tuple[tuple[str, str], ...] = (("fig2", "Fig. 2"), ("fig3", "Fig. 3"))
+    rounds: int = 9
+    macro_steps: int = 2000
+    stop_time: float | None = None
+    finest: float = 1e-4
+    tolerances: tuple[float, ...] = tuple(10.0 ** (-k / 2.0) for k in range(4, 23))
+    orders: tuple[int, int] = (4, 4)
+
+
+FULL = Effort()
+QUICK = Effort(
+    engines=("fmpy_loop",),
+    figures=(("fig2", "Fig. 2"),),
+    rounds=1,
+    macro_steps=50,
+    stop_time=0.1,
+    finest=5e-4,
+    tolerances=(1e-4, 1e-6),
+    orders=(2, 2),
+)
+"""Shows that everything runs; its numbers mean nothing."""
+
+
+def sections(effort: Effort) -> list[str]:
+    """Measure, and return the lines of the page between its markers, the machine's left out."""
+    _say("cost per macro step")
+    lines = ["### Cost per macro step with held inputs", ""]
+    steps = macro_step.measure(effort.engines, effort.macro_steps, effort.rounds)
+    lines += macro_step_table(steps)
+    figures = []
+    for name, title in effort.figures:
+        _say(f"time to accuracy, {title}")
+        found = accuracy.measure(
+            name,
+            title,
+            effort.engines,
+            stop_time=effort.stop_time,
+            finest=effort.finest,
+            tolerances=effort.tolerances,
+            rounds=min(effort.rounds, 5),
+        )
+        figures.append(found)
+        lines += ["", f"### Time to accuracy, {title}, Controller 1", "", *accuracy_table(found)]
+    lines += ["", "### Against no FMUs at all", "", *solver_table(figures)]
+    _say("small measurements")
+    small = micro.measure(effort.rounds, effort.orders)
+    return [*lines, "", "### Small measurements", "", *micro_table(small)]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """The command ``python -m benchmarks``."""
+    parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
+    parser.add_argument(
+        "--quick", action="store_true", help="only show that everything runs; print, do not write"
+    )
+    parser.add_argument(
+        "--without",
+        action="append",
+        default=[],
+        choices=sorted(ENGINES),
+        help="leave an engine out",
+    )
+    given = parser.parse_args(arguments)
+    effort = QUICK if given.quick else FULL
+    engines = tuple(name for name in effort.engines if name not in given.without)
+    command = " ".join(["python -m benchmarks", *(arguments or sys.argv[1:])])
+    lines = sections(replace(effort, engines=engines))
+    text = "\n".join([*description(command), "", *lines])
+    print(text)
+    if not given.quick:
+        PAGE.write_text(replaced(PAGE.read_text("utf-8"), text), "utf-8")
+    return 0
+
+
+def replaced(page: str, text: str) -> str:
+    """The page with `text` between its markers."""
+    head, _, rest = page.partition(BEGIN)
+    _, _, tail = rest.partition(END)
+    return f"{head}{BEGIN}\n\n{text}\n\n{END}{tail}"
+
+
+def _say(what: str) -> None:
+    print(f"measuring {what} ..", file=sys.stderr, flush=True)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,66 @@
+"""The loops of the paper's figures, from scenarios/, as loops for engines and as equations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from benchmarks.loop import Component, Loop, variables
+from congelation.study.scenario import Case
+from congelation.study.scenario_file import load_scenario
+
+__all__ = ["VARIANT", "Figure", "figure"]
+
+SCENARIOS = Path(__file__).absolute().parent.parent / "scenarios"
+VARIANT = "Controller 1"
+
+
+@dataclass(frozen=True)
+class Figure:
+    """One loop of the paper, with Controller 1.
+
+    Parameters
+    ----------
+    case : Case
+    loop : Loop
+        Of the scenario's name. It records x, u and the estimates. Start values are given where
+        they are not the FMU's own.
+    """
+
+    case: Case
+    loop: Loop
+
+    @property
+    def stop_time(self) -> float:
+        """Of the scenario, in seconds."""
+        return self.case.experiment.stop_time
+
+
+def figure(name: str) -> Figure:
+    """Read scenarios/`name`.toml."""
+    scenario = load_scenario(SCENARIOS / f"{name}.toml")
+    settings = next(v.settings for v in scenario.variants if v.name == VARIANT)
+    case = scenario.case(settings)
+    system = case.system.resolve()
+    names = [member.name for member in system.members]
+    components = tuple(
+        Component(c.name, str(c.fmu.absolute()), _changed(c.fmu, c.start))
+        for c in case.system.components
+    )
+    links = system.links
+    connections = tuple(
+        (names[k.source], k.output.name, names[k.target], k.input.name) for k in links
+    )
+    wanted = ("plant.x", "controller.u", "controller.theta_hat", "controller.rho_hat")
+    groups = [group for group in case.experiment.record if group in wanted]
+    columns = tuple(r.name.split(".", 1) for r in system.recorded(groups))
+    record = tuple((owner, variable) for owner, variable in columns)
+    return Figure(case, Loop(name, components, connections, record))
+
+
+def _changed(fmu: Path, start: Mapping[str, Any]) -> dict[str, Any]:
+    """The start values that are not the FMU's own; a scenario's are flat."""
+    own = variables(fmu)
+    return {name: value for name, value in start.items() if own[name].start != value}
