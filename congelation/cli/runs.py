@@ -111,9 +111,12 @@ def export_ssp(
     variant: Annotated[
         str | None, typer.Option(help="Variant to export.", show_default="the first")
     ] = None,
+    derivatives: Annotated[
+        bool, typer.Option("--derivatives", help="Connect der(..) outputs to der(..) inputs, too.")
+    ] = False,
 ) -> None:
     """Write a scenario as a system that other tools can open: SSP 1.0 with the FMUs inside."""
-    write_ssp(load_scenario(scenario), file, variant)
+    write_ssp(load_scenario(scenario), file, variant, derivatives=derivatives)
     print(file)
 
 
