@@ -198,7 +198,7 @@ def _held(
 ) -> tuple[dict[str, Held], list[str]]:
     steps = (4.0 * finest, 2.0 * finest, finest)
     count = round(stop / finest)
-    solution = exact.values(np.arange(1, count + 1) * finest)
+    solution = exact.values(finest * np.arange(1.0, count + 1.0))
     held: dict[str, Held] = {}
     failures: list[str] = []
     for engine in engines:

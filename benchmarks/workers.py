@@ -47,10 +47,10 @@ class Worker:
     """
 
     def __init__(self, engine: str, loop: Loop) -> None:
+        python = _interpreter(ENGINES[engine].environment if engine in ENGINES else "")
         self.engine = engine
         self._columns = 1 + len(loop.record)
         self._log = tempfile.TemporaryFile()  # noqa: SIM115  # closed by close()
-        python = _interpreter(ENGINES[engine].environment if engine in ENGINES else "")
         self._process = subprocess.Popen(
             [python, "-m", "benchmarks.worker", engine],
             stdin=subprocess.PIPE,
@@ -59,7 +59,11 @@ class Worker:
             text=True,
             cwd=ROOT,
         )
-        self._ask(loop.to_json())
+        try:
+            self._ask(loop.to_json())
+        except EngineError:
+            self.close()
+            raise
 
     def seconds(self, **settings: float | str) -> float:
         """Seconds that a run takes."""
