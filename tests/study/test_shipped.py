@@ -6,6 +6,10 @@ from pathlib import Path
 
 import pytest
 
+from congelation.cosim.pool import SlavePool
+from congelation.study.batch import plan_sweep
+from congelation.study.execute import execute
+from congelation.study.plan import plan_run
 from congelation.study.run import run_scenario
 from congelation.study.scenario_file import load_scenario
 from congelation.study.verify import LARGEST_DEVIATION
@@ -37,3 +41,45 @@ def test_fig1_shows_fast_and_slow_variations_inside_the_box(tmp_path: Path) -> N
     assert (theta_2.min() >= 1.0, theta_2.max() <= 3.0) == (True, True)
     assert theta_1.max() - theta_1.min() > 1.9
     assert theta_2.max() - theta_2.min() > 1.9
+
+
+STUDIES = {"rate": 48, "design": 384, "step": 40, "monte_carlo": 2000}
+
+
+@pytest.mark.parametrize(("name", "runs"), STUDIES.items())
+def test_the_studies_are_as_large_as_they_say(tmp_path: Path, name: str, runs: int) -> None:
+    scenario = load_scenario(ROOT / "scenarios" / f"study_{name}.toml")
+    plan = plan_sweep(scenario, tmp_path, resume=False)
+    assert len(plan.run_ids) == len(plan.missing) == runs
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["rate", "monte_carlo"])
+def test_the_certificate_holds_for_controller_1_alone_whatever_theta_does(
+    tmp_path: Path, name: str
+) -> None:
+    scenario = load_scenario(ROOT / "scenarios" / f"study_{name}.toml")
+    plan = plan_sweep(scenario, tmp_path, resume=False)
+    some = plan.missing[:: len(plan.missing) // 4 - 1]  # an odd step, so that both variants occur
+    assert {task.variant for task in some} == {"Controller 1", "Controller 2"}
+    with SlavePool() as pool:
+        for task in some:
+            run = plan_run(scenario, task.variant, task.settings, plan.shared.varied)
+            row, _ = execute(run, scenario, pool)
+            assert row["status"] == "COMPLETED"
+            assert (row["margin"] <= 1e-9) == (task.variant == "Controller 1")
+
+
+@pytest.mark.slow
+def test_held_inputs_are_wrong_where_hermite_is_right(tmp_path: Path) -> None:
+    scenario = load_scenario(ROOT / "scenarios" / "study_step.toml")
+    settings = {"controller.damping": True, "experiment.step": 1e-3}
+    errors = {}
+    with SlavePool() as pool:
+        for coupling in ("jacobi", "hermite"):
+            run = plan_run(
+                scenario, "Controller 1", {**settings, "experiment.coupling": coupling}, ()
+            )
+            errors[coupling] = execute(run, scenario, pool)[0]["error"]
+    assert errors["jacobi"] > 0.1
+    assert errors["hermite"] < 1e-4
