@@ -38,6 +38,8 @@ GRACE = 5.0
 PILOT_FRACTIONS = (0.02, 0.2, 1.0)
 """Parts of a run that a pilot does, until one took `PILOT_SECONDS`."""
 PILOT_SECONDS = 0.3
+PILOT_LIMIT = 3.0
+"""Seconds after which no further run is measured."""
 
 
 @dataclass(frozen=True)
@@ -88,8 +90,9 @@ class Done:
 
 @dataclass(frozen=True)
 class Pilot:
-    """What one run takes: seconds, and bytes of the result directory."""
+    """What a run takes, by the mean over some: seconds, and bytes of the result directory."""
 
+    runs: int
     seconds: float
     size: int
 
@@ -215,29 +218,44 @@ def work(shared: Work, tasks: Sequence[Task]) -> Done:
     return Done(_name(), tuple(done), memory)
 
 
-def pilot(shared: Work, task: Task) -> Pilot:
-    """Measure a run, or as much of it as takes long enough to be measured; stores nothing.
+def pilot(shared: Work, tasks: Sequence[Task]) -> Pilot:
+    """Measure runs, or as much of each as takes long enough to be measured; stores nothing.
+
+    Ends early, with fewer of the tasks, when it has taken `PILOT_LIMIT`.
 
     Raises
     ------
     CongelationError
-        If the run cannot begin.
+        If a run cannot begin.
     """
+    end = time.monotonic() + PILOT_LIMIT
+    measured: list[Pilot] = []
     with _PROCESS.lock, tempfile.TemporaryDirectory() as folder:
-        worker, store = _PROCESS.worker(shared), Store(Path(folder))
-        run = worker.run(task)
-        execute(_part(run, PILOT_FRACTIONS[0]), shared.scenario, worker.pool)  # loads the FMUs
-        for fraction in PILOT_FRACTIONS:
-            begin = time.perf_counter()
-            row, trajectory = execute(_part(run, fraction), shared.scenario, worker.pool)
-            store.write(row, trajectory if shared.trajectories else None)
-            seconds = time.perf_counter() - begin
-            if seconds > PILOT_SECONDS:
+        worker = _PROCESS.worker(shared)
+        first = _part(worker.run(tasks[0]), PILOT_FRACTIONS[0])
+        execute(first, shared.scenario, worker.pool)  # loads the FMUs, which counts for no run
+        for task in tasks:
+            measured.append(_measure(worker, worker.run(task), Store(Path(folder))))
+            if time.monotonic() > end:
                 break
-        size = store.part_file(run.run_id).stat().st_size
-        if shared.trajectories:
-            size += round(store.trajectory_file(run.run_id).stat().st_size / fraction)
-        return Pilot(seconds / fraction, size)
+    runs = len(measured)
+    seconds = sum(one.seconds for one in measured) / runs
+    return Pilot(runs, seconds, round(sum(one.size for one in measured) / runs))
+
+
+def _measure(worker: _Worker, run: Run, store: Store) -> Pilot:
+    shared = worker.shared
+    for fraction in PILOT_FRACTIONS:
+        begin = time.perf_counter()
+        row, trajectory = execute(_part(run, fraction), shared.scenario, worker.pool)
+        store.write(row, trajectory if shared.trajectories else None)
+        seconds = time.perf_counter() - begin
+        if seconds > PILOT_SECONDS:
+            break
+    size = store.part_file(run.run_id).stat().st_size
+    if shared.trajectories:
+        size += round(store.trajectory_file(run.run_id).stat().st_size / fraction)
+    return Pilot(1, seconds / fraction, size)
 
 
 def _part(run: Run, fraction: float) -> Run:
