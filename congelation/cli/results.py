@@ -11,8 +11,10 @@ import typer
 from congelation.cli.shared import print_figures, print_summary
 from congelation.errors import InvalidInput
 from congelation.report.exchange import write_csv, write_mat
+from congelation.report.figures import save
 from congelation.report.html import write_html
-from congelation.report.summary import number, pareto_front, summarise_groups
+from congelation.report.pareto import draw_front, pareto_front
+from congelation.report.summary import number, summarise_groups
 from congelation.report.table import aligned
 from congelation.study.store import Store, metrics_of, settings_of
 
@@ -48,6 +50,9 @@ def report(
         print(aligned(header, [[label, *cells] for label, cells in summary.lines]))
     if pareto:
         _print_rows(pareto_front(store.read(), pareto))
+        if len(pareto) == 2:
+            for file in save(draw_front(store.read(), pareto), store.root / "figures", "pareto"):
+                print(file)
     if not (by or pareto):
         print_summary(store)
     print_figures(store)

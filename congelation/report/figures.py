@@ -29,7 +29,7 @@ from congelation.report.labels import math_label, with_unit
 from congelation.study.metrics import norm
 from congelation.study.store import Store, Trajectory, replace_whole
 
-__all__ = ["FORMATS", "draw", "figure_names", "save"]
+__all__ = ["FORMATS", "SETTINGS", "draw", "figure_names", "save"]
 
 Array = npt.NDArray[np.float64]
 _Style = Literal["-"] | tuple[float, Sequence[float]]
@@ -53,7 +53,7 @@ _BINS = 1500  # a column of print at 300 dpi has about 1000 dots; each bin keeps
 _SYMLOG_RATIO = 30.0  # curves this far apart in peak cannot share a linear axis
 _SYMLOG_FLOOR = 0.1  # the linear part reaches to this fraction of the smallest curve's peak
 _NORM_RANGE = 1e-5  # of the peak: what is below is at rest for every purpose
-_SETTINGS: dict[Any, Any] = {
+SETTINGS: dict[Any, Any] = {
     "font.size": 8,
     "axes.labelsize": 8,
     "xtick.labelsize": 7,
@@ -119,7 +119,7 @@ def draw(store: Store, name: str) -> Figure:
         for row in study.rows
         for trajectory in (store.trajectory(str(row["run_id"])),)
     ]
-    with mpl.rc_context(_SETTINGS):
+    with mpl.rc_context(SETTINGS):
         return _draw([run for run in runs if len(run.trajectory.time)], figures[name]["panels"])
 
 
@@ -128,7 +128,7 @@ def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:
     # It warns of the dates in Matplotlib's own fonts, which nobody here can mend.
     logging.getLogger("fontTools").setLevel(logging.ERROR)
     files = tuple(folder / f"{name}.{suffix}" for suffix in FORMATS)
-    with mpl.rc_context(_SETTINGS):
+    with mpl.rc_context(SETTINGS):
         for file, suffix in zip(files, FORMATS, strict=True):
             metadata = {"CreationDate": None} if suffix == "pdf" else {"Software": None}
 

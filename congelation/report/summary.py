@@ -16,7 +16,6 @@ __all__ = [
     "Summary",
     "metric_definitions",
     "number",
-    "pareto_front",
     "summarise",
     "summarise_groups",
 ]
@@ -64,34 +63,6 @@ def summarise_groups(study: Study, by: Sequence[str]) -> Summary:
         cells += [_spread([row[name] for row in rows]) for name in metrics]
         lines.append((", ".join(label), tuple(cells)))
     return Summary(tuple(columns), tuple(lines))
-
-
-def pareto_front(study: Study, metrics: Sequence[str]) -> tuple[dict[str, Any], ...]:
-    """The rows that no other row beats: none is at most equal in all metrics and less in one.
-
-    Only finite metrics of completed runs compete; sorted by the first metric.
-
-    Raises
-    ------
-    InvalidInput
-        If there is no such metric.
-    """
-    for name in metrics:
-        if name not in study.about["metrics"]:
-            raise InvalidInput(f"'{name}' is no metric; {nearest(name, study.about['metrics'])}")
-    entries = [(tuple(row[name] for name in metrics), row) for row in study.rows]
-    rivals = [
-        (cost, row)
-        for cost, row in entries
-        if all(value is not None and math.isfinite(value) for value in cost)
-    ]
-    costs = np.array([cost for cost, _ in rivals], dtype=float).reshape(-1, len(metrics))
-    front = [
-        (cost, row)
-        for cost, row in rivals
-        if not np.any(np.all(costs <= cost, axis=1) & np.any(costs < cost, axis=1))
-    ]
-    return tuple(row for _, row in sorted(front, key=lambda entry: entry[0]))
 
 
 def _order(value: object) -> tuple[int, float, str]:

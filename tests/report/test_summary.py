@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from congelation.errors import InvalidInput
-from congelation.report.summary import pareto_front, summarise_groups
+from congelation.report.pareto import draw_front, pareto_front
+from congelation.report.summary import summarise_groups
 from congelation.study.store import Study
 
 METRICS = {name: {"metric": "peak", "of": "a.x", "unit": "s"} for name in ("time", "cost")}
@@ -49,6 +51,18 @@ def test_the_pareto_front_is_what_no_run_beats(costs: list[tuple[float, float]])
     expected = [r["a.k"] for r in finite if not any(beats(other, r) for other in finite)]
     assert sorted(r["a.k"] for r in front) == expected
     assert [r["time"] for r in front] == sorted(r["time"] for r in front)
+
+
+def test_the_figure_shows_all_runs_and_the_front() -> None:
+    rows = (row(1.0, 1.0, 3.0), row(2.0, 2.0, 2.0), row(3.0, 3.0, 4.0), row(4.0, None, None))
+    study = Study(rows, ABOUT)
+    (axes,) = draw_front(study, ["time", "cost"]).axes
+    runs, front = (line.get_xydata() for line in axes.get_lines())
+    assert np.array_equal(runs, [[1.0, 3.0], [2.0, 2.0], [3.0, 4.0]])
+    assert np.array_equal(front, [[1.0, 3.0], [2.0, 2.0]])
+    assert (axes.get_xlabel(), axes.get_xscale()) == ("time [s]", "log")
+    with pytest.raises(InvalidInput, match="has two metrics, not 1"):
+        draw_front(study, ["time"])
 
 
 def test_unknown_names_are_told() -> None:
