@@ -52,6 +52,7 @@ def execute(
         coupling=experiment.coupling,
         options=experiment.options,
         record=experiment.record,
+        output=experiment.output,
         slave_tolerance=experiment.slave_tolerance,
         progress=progress,
         pool=pool,

@@ -6,8 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from congelation.cosim.coupling import make_coupling
+from congelation.cosim.output import Output
 from congelation.cosim.system import System
 from congelation.study.start_values import Scalar
 from congelation.study.sweep import Sweep
@@ -48,6 +50,10 @@ class Experiment:
         Options of the coupling.
     slave_tolerance : float, optional
         Relative tolerance of the integration inside the FMUs.
+    output_interval : float, optional
+        Seconds between recorded rows, whatever the steps; else every communication point is one.
+    output_every : int, optional
+        Every how many communication points a row is recorded; not with an interval.
     """
 
     stop_time: float
@@ -58,6 +64,15 @@ class Experiment:
     coupling: str = "derivative"
     options: Mapping[str, object] = field(default_factory=dict)
     slave_tolerance: float | None = None
+    output_interval: float | None = None
+    output_every: int | None = None
+
+    @property
+    def output(self) -> Output | None:
+        """What to record, where it is not every communication point."""
+        if self.output_interval is not None:
+            return Output(interval=self.output_interval)
+        return None if self.output_every is None else Output(every=self.output_every)
 
 
 @dataclass(frozen=True)
@@ -207,7 +222,26 @@ def read_experiment(section: Section) -> Experiment:
         coupling=coupling,
         options=options,
         slave_tolerance=_optional_positive(section, "slave_tolerance"),
+        **_output(section),
     )
+
+
+def _output(section: Section) -> dict[str, Any]:
+    """Which rows are recorded, if the table says so."""
+    keys = [key for key in ("output_interval", "output_every") if key in section.data]
+    if len(keys) > 1:
+        raise section.error("output_every", "and output_interval exclude each other")
+    if keys == ["output_interval"]:
+        interval = section.seconds("output_interval")
+        if interval <= 0.0:
+            raise section.wrong("output_interval", "a positive time")
+        return {"output_interval": interval}
+    if keys == ["output_every"]:
+        every = section.integer("output_every", 0)
+        if every < 1:
+            raise section.wrong("output_every", "a whole number of at least 1")
+        return {"output_every": every}
+    return {}
 
 
 def _optional_positive(section: Section, key: str) -> float | None:

@@ -60,6 +60,21 @@ def test_the_horizon_ends_exactly_where_the_scenario_says(tmp_path: Path) -> Non
         assert np.all(np.diff(time) > 0.0)
 
 
+def test_a_chosen_output_grid(tmp_path: Path) -> None:
+    changes = ("step = 0.01", 'tolerance = 1e-6\ncoupling = "hermite"\noutput_interval = 0.25')
+    store = run(tmp_path, changes)
+    trajectory = store.trajectory(store.read().rows[0]["run_id"])
+    # Jumps of theta every 0.15 s have rows of their own.
+    assert {0.0, 0.25, 0.5, 0.75, 1.0} <= set(trajectory.time.tolist())
+    assert len(trajectory.time) < 25
+
+
+def test_every_tenth_row(tmp_path: Path) -> None:
+    store = run(tmp_path, ("step = 0.01", 'step = 0.01\ncoupling = "jacobi"\noutput_every = 10'))
+    trajectory = store.trajectory(store.read().rows[0]["run_id"])
+    np.testing.assert_allclose(trajectory.time, np.linspace(0.0, 1.0, 11))
+
+
 def test_every_row_has_what_any_variant_changes(tmp_path: Path) -> None:
     both = '{"controller.damping" = false, "experiment.step" = 0.02, "controller.k_bar" = 1}'
     rows = run(tmp_path, (SET_2, both)).read().rows
