@@ -54,9 +54,12 @@ def figure(name: str) -> Figure:
         (names[k.source], k.output.name, names[k.target], k.input.name) for k in links
     )
     wanted = ("plant.x", "controller.u", "controller.theta_hat", "controller.rho_hat")
-    groups = [group for group in case.experiment.record if group in wanted]
-    columns = tuple(r.name.split(".", 1) for r in system.recorded(groups))
-    record = tuple((owner, variable) for owner, variable in columns)
+    columns = [r.name for r in system.recorded(case.experiment.record)]
+    record = tuple(
+        (owner, variable)
+        for owner, _, variable in (name.partition(".") for name in columns)
+        if f"{owner}.{variable.partition('[')[0]}" in wanted
+    )
     return Figure(case, Loop(name, components, connections, record))
 
 

@@ -26,6 +26,9 @@ class Cofmupy(Engine):
 
     def __init__(self, loop: Loop) -> None:
         super().__init__(loop)
+        given = [f"{c.name}.{name}" for c in loop.components for name in c.start]
+        if given:
+            raise ValueError(f"start values cannot be given: {', '.join(given)}")
         self._folder = tempfile.TemporaryDirectory()
         self._file = Path(self._folder.name) / "loop.json"
         self._file.write_text(json.dumps(_configuration(loop, self._folder.name)), "utf-8")
