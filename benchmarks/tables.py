@@ -48,9 +48,9 @@ def accuracy_table(found: Accuracy) -> list[str]:
     """Time to reach each error, against engines with held inputs."""
     head = (
         "",
-        *(f"{target:g}" for target in TARGETS),
+        *map(_power, TARGETS),
         "order",
-        f"÷ congelation at {GOAL_TARGET:g}",
+        f"÷ congelation at {_power(GOAL_TARGET)}",
     )
     ours = [found.reached.get((OURS, target)) for target in TARGETS]
     rows: list[Row] = [("congelation, `hermite`", *map(_reached, ours), "", "1")]
@@ -65,11 +65,8 @@ def accuracy_table(found: Accuracy) -> list[str]:
         rows.append((_label(name), *map(_duration, times), f"{held.order:.2f}", ratio))
     lines = [*_table(head, rows), *_not_run(found.failures)]
     if ratios:
-        verdict = _verdict(min(ratios) >= ACCURACY_GOAL)
-        lines += [
-            "",
-            f"Goal: {ACCURACY_GOAL:,.0f} times the best of them at {GOAL_TARGET:g}: {verdict}.",
-        ]
+        goal = f"{ACCURACY_GOAL:,.0f} times the best of them at {_power(GOAL_TARGET)}"
+        lines += ["", f"Goal: {goal}: {_verdict(min(ratios) >= ACCURACY_GOAL)}."]
     return lines
 
 
@@ -77,8 +74,8 @@ def solver_table(found: Sequence[Accuracy]) -> list[str]:
     """Time to reach each error, against solve_ivp on the same equations without FMUs."""
     head = (
         "",
-        *(f"{target:g}" for target in TARGETS),
-        f"congelation ÷ it at {GOAL_TARGET:g}",
+        *map(_power, TARGETS),
+        f"congelation ÷ it at {_power(GOAL_TARGET)}",
         "goal",
     )
     rows: list[Row] = []
@@ -128,6 +125,12 @@ def _label(name: str) -> str:
 
 def _verdict(is_met: bool) -> str:
     return "met" if is_met else "**missed**"
+
+
+def _power(target: float) -> str:
+    """1e-6 rather than 1e-06."""
+    mantissa, _, exponent = f"{target:.0e}".partition("e")
+    return f"{mantissa}e{int(exponent)}"
 
 
 def _reached(found: Reached | None) -> str:
