@@ -56,6 +56,27 @@ def test_the_matched_cubic_acts_like_the_quintic(c, h, ratio):
         assert moment(1) - moment(0) == pytest.approx(0.0, abs=scale)
 
 
+@pytest.mark.parametrize("rate", [0.1, 1.0, 10.0, 100.0, 1000.0])
+@pytest.mark.parametrize("h", [0.5, 0.2])
+def test_the_matched_cubic_moves_slow_and_fast_slaves_better_than_the_hermite_cubic(h, rate):
+    """x' = rate (u - x), u a sine: what the error of the input does to x after a step."""
+    start = 0.3
+    u, slope = np.sin, np.cos
+    near = [u(start), slope(start), u(start + h), slope(start + h)]
+    before = [u(start - h), slope(start - h)]
+    s, weight = np.polynomial.legendre.leggauss(200)
+    s = (s + 1.0) * h / 2.0
+    kernel = weight * h / 2.0 * rate * np.exp(-rate * (h - s))
+    powers = np.array([np.ones_like(s), s, s**2 / 2.0, s**3 / 6.0])
+    errors = [
+        abs(kernel @ (C @ powers - u(start + s)))
+        for C in (hermite(h) @ near, matched(h, h) @ [*near, *before])
+    ]
+    assert errors[1] < errors[0] / 2.0
+    if rate * h < 1.0:
+        assert errors[1] < errors[0] / 60.0
+
+
 @given(st.integers(1, 4), st.integers(0, 10**6), st.floats(0.1, 1.5))
 def test_a_polynomial_is_extrapolated_from_values_and_derivatives(count, seed, ahead):
     """n nodes carry degree 2 n - 1, here against polynomials of that degree with known roots."""
