@@ -54,6 +54,8 @@ class Interpolant:
         self._tolerance = tolerance
         self._past = Past(ends.new.shape[1])
         self._preferred = self._next = order
+        self._before: list[int] = []
+        self._predicted: Floats = ends.new
         self._matrix: Floats = np.zeros((4, 4))
         self._data: Floats = ends.w
         self.order = LOW
@@ -68,7 +70,9 @@ class Interpolant:
         """Tell the ends of the step that `ends` has turned to, and choose its polynomial."""
         ends, past = self._ends, self._past
         before = past.before(ends.end_time)
-        ends.set_ends(past.extrapolated(ends.end_time, before))
+        self._before = before
+        self._predicted = past.extrapolated(ends.end_time, before)
+        ends.set_ends(self._predicted)
         ends.predict_inexact()
         h = ends.end_time - ends.start_time
         if before and self._preferred == HIGH:
@@ -98,12 +102,11 @@ class Interpolant:
         self.order, self._next = LOW, self._highest
         if not ends.new.size:
             return 0.0
-        before = self._past.before(ends.end_time)
-        distance = self._cubic_error(before[0]) if before else self._cubic_term()
+        distance = self._cubic_error() if self._before else self._cubic_term()
         low, self.worst = self._largest(distance)
-        if self._highest == LOW or len(before) < 2:
+        if self._highest == LOW or len(self._before) < 2:
             return low
-        high, worst = self._largest(np.maximum(self._quintic_error(before), RESIDUE * distance))
+        high, worst = self._largest(np.maximum(self._quintic_error(), RESIDUE * distance))
         if self._tolerance is not None:
             self._next = _order_of_longer_step(low / self._tolerance, high / self._tolerance)
         if self._preferred == LOW:
@@ -126,31 +129,34 @@ class Interpolant:
         term: Floats = np.abs(cubic) * (4.0 / 27.0)
         return term
 
-    def _cubic_error(self, back: int) -> Floats:
+    def _cubic_error(self) -> Floats:
         """The Hermite cubic's distance, shape (L,).
 
         It is off by f''''/24 s^2 (h - s)^2, at most f''''/24 (h/2)^4. The cubic through the start
         and a point g before, extrapolated to the end, misses by f''''/24 h^2 (h + g)^2, which gives
         f''''; its derivative gives the same fourth divided difference.
         """
-        ends, g = self._ends, self._past.distance(back)
+        ends, g = self._ends, self._past.distance(self._before[0])
         h = ends.end_time - ends.start_time
-        value, slope = np.abs(ends.new - self._past.extrapolated(ends.end_time, [back]))
+        expected = self._predicted
+        if len(self._before) > 1:
+            expected = self._past.extrapolated(ends.end_time, self._before[:1])
+        value, slope = np.abs(ends.new - expected)
         by_value = value * (h**2 / (16.0 * (h + g) ** 2))
         by_slope = slope * (h**3 / (32.0 * (h + g) * (h + h + g)))
         largest: Floats = np.maximum(by_value, by_slope)
         return largest
 
-    def _quintic_error(self, back: list[int]) -> Floats:
+    def _quintic_error(self) -> Floats:
         """The quintic's distance, shape (L,).
 
         It is off by f^(6)/720 s^2 (h - s)^2 (s + g)^2, taken at h/2. The quintic through the start
         and points g and k before misses the end by f^(6)/720 h^2 (h + g)^2 (h + k)^2.
         """
         ends = self._ends
-        g, k = (self._past.distance(place) for place in back)
+        g, k = (self._past.distance(back) for back in self._before)
         h = ends.end_time - ends.start_time
-        value, slope = np.abs(ends.new - self._past.extrapolated(ends.end_time, back))
+        value, slope = np.abs(ends.new - self._predicted)
         share = (h * (h / 2.0 + g)) ** 2 / (16.0 * ((h + g) * (h + k)) ** 2)
         per_slope = 2.0 * (1.0 / h + 1.0 / (h + g) + 1.0 / (h + k))
         largest: Floats = np.maximum(value * share, slope * (share / per_slope))
