@@ -34,6 +34,11 @@ WORKER_DIED = "WORKER_DIED"
 CHUNK = 16
 """Most runs per task: a task costs about a millisecond, and a dead worker's chunk is done again."""
 
+INDEX_GROWTH = 4
+"""The index is written anew whenever there are so many times the runs: a row is read 1.3 times.
+
+Workers wait meanwhile. Who needs the newest rows reads them one by one, as `ls` does."""
+
 
 @dataclass(frozen=True)
 class Tally:
@@ -46,7 +51,7 @@ class Tally:
     failed : int
         Those done by this call that did not reach their stop time.
     memory : int
-        Bytes: the largest so far of each worker heard of, added up.
+        Bytes: the largest so far of each worker that has not been replaced, added up.
     """
 
     done: int
@@ -144,7 +149,11 @@ class _Counts:
         self._memory: dict[str, int] = {}
         self._progress = progress
         self._plan = plan
-        self._index_at = max(2 * self._tally.done, CHUNK)
+        self._index_at = max(INDEX_GROWTH * self._tally.done, CHUNK)
+
+    def new_crew(self) -> None:
+        """The workers heard of so far have ended."""
+        self._memory.clear()
 
     def add(self, done: Done) -> None:
         """Count what a worker has done."""
@@ -163,9 +172,8 @@ class _Counts:
         if self._progress is not None:
             self._progress(self._tally)
         if self._index_at <= self._tally.done < self._tally.total:
-            # Whenever their number has doubled: readers see it grow, and each row is read twice.
             _index(self._plan)
-            self._index_at = 2 * self._tally.done
+            self._index_at = INDEX_GROWTH * self._tally.done
 
 
 def _together(
@@ -177,6 +185,7 @@ def _together(
     """
     lost: list[Task] = []
     with workers.open() as crew:
+        counts.new_crew()
         budget = min(len(waiting), crew.runs or len(waiting))
         chunks = _chunks(waiting, budget, max(1, min(CHUNK, budget // (4 * crew.size))))
         running: dict[Future[Done], list[Task]] = {}
@@ -220,6 +229,7 @@ def _one_by_one(shared: Work, tasks: Sequence[Task], workers: Workers, counts: _
     remaining = deque(tasks)
     while remaining:
         with workers.alone() as crew:
+            counts.new_crew()
             while remaining:
                 task = remaining.popleft()
                 try:

@@ -49,6 +49,8 @@ class StoreError(CongelationError):
 Row = Mapping[str, object]
 
 _METADATA = b"congelation"
+_BATCH = 256
+"""Rows joined at a time: one alone takes 16 kB, one of many 200 bytes."""
 _ID_LENGTH = 16  # hex digits; 64 bits, so 10^6 runs collide with probability 3e-8
 
 
@@ -234,10 +236,14 @@ class Store:
 
     def compact(self, run_ids: Sequence[str], about: Mapping[str, object]) -> None:
         """Write runs.parquet: the rows of `run_ids`, in that order."""
-        parts = [pq.read_table(self.part_file(run_id)) for run_id in run_ids]
-        table = pa.concat_tables(parts, promote_options="permissive")
+        starts = range(0, len(run_ids), _BATCH)
+        table = _joined(self._parts(run_ids[start : start + _BATCH]) for start in starts)
         metadata = {_METADATA: json.dumps(dict(about)).encode()}
         _write_whole(table.replace_schema_metadata(metadata), self.index)
+
+    def _parts(self, run_ids: Sequence[str]) -> pa.Table:
+        # Not pq.read_table, which makes a data set of each file and takes twice the time.
+        return _joined(_read(self.part_file(run_id), "no such run") for run_id in run_ids)
 
     def replaceable(self) -> set[str]:
         """The run_ids that runs.parquet lists, which a new state of their scenario replaces.
@@ -291,6 +297,11 @@ class Store:
         }
         time = table["time"].to_numpy()
         return Trajectory(time, columns, np.array(values).T.reshape(len(time), len(columns)), units)
+
+
+def _joined(tables: Iterable[pa.Table]) -> pa.Table:
+    """One table with the columns of all of them, in one piece."""
+    return pa.concat_tables(list(tables), promote_options="permissive").combine_chunks()
 
 
 def _trajectory_table(trajectory: Trajectory) -> pa.Table:
