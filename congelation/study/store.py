@@ -51,6 +51,9 @@ Row = Mapping[str, object]
 _METADATA = b"congelation"
 _BATCH = 256
 """Rows joined at a time: one alone takes 16 kB, one of many 200 bytes."""
+_MANY_ROWS = {"compression": "zstd"}
+_ONE_ROW = {"compression": "none", "use_dictionary": False, "write_statistics": False}
+"""Of one row each would take time, and make it no smaller."""
 _ID_LENGTH = 16  # hex digits; 64 bits, so 10^6 runs collide with probability 3e-8
 
 
@@ -184,7 +187,7 @@ class Store:
         run_id = str(row["run_id"])
         if trajectory is not None:
             _write_whole(_trajectory_table(trajectory), self.trajectory_file(run_id))
-        _write_whole(pa.Table.from_pylist([dict(row)]), self.part_file(run_id))
+        _write_whole(pa.Table.from_pylist([dict(row)]), self.part_file(run_id), _ONE_ROW)
 
     def finished(self) -> set[str]:
         """The run_ids that have a readable row."""
@@ -312,9 +315,9 @@ def _trajectory_table(trajectory: Trajectory) -> pa.Table:
     return pa.Table.from_arrays([pa.array(a) for a in arrays], schema=pa.schema(fields))
 
 
-def _write_whole(table: pa.Table, file: Path) -> None:
+def _write_whole(table: pa.Table, file: Path, options: Mapping[str, object] = _MANY_ROWS) -> None:
     """Write a Parquet file that appears complete or not at all."""
-    replace_whole(file, lambda temporary: pq.write_table(table, temporary, compression="zstd"))
+    replace_whole(file, lambda temporary: pq.write_table(table, temporary, **options))
 
 
 def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
