@@ -5,18 +5,53 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from benchmarks import accuracy, macro_step, micro
+from benchmarks import accuracy, macro_step, micro, sweeps
 from benchmarks.engines import ENGINES
 from benchmarks.machine import description
+from benchmarks.sweep_tables import fresh_table, many_table, overhead_table, scaling_table
 from benchmarks.tables import accuracy_table, macro_step_table, micro_table, solver_table
 
 __all__ = ["FULL", "QUICK", "Effort", "main", "replaced", "sections"]
 
 PAGE = Path(__file__).absolute().parent.parent / "docs" / "benchmarks.md"
 BEGIN, END = "<!-- written by python -m benchmarks -->", "<!-- end of what it writes -->"
+
+
+@dataclass(frozen=True)
+class Sweeps:
+    """How long to measure sweeps; each point is two runs.
+
+    Parameters
+    ----------
+    rounds : int
+    points : int
+        Of the sweep on one worker and on two.
+    stop_time : float
+        Of these runs and those whose time is looked into, in seconds.
+    cheap, dear : int
+        Points of the sweeps whose time is looked into: chosen steps, and as shipped.
+    many : int
+        Points of the many short runs.
+    short : float
+        Their stop time, in seconds.
+    marks : tuple of int
+        Memory is told after so many of them.
+    held : tuple of (int, int)
+        Macro steps and points of the sweeps against fresh FMPy instances.
+    """
+
+    rounds: int = 3
+    points: int = 60
+    stop_time: float = 10.0
+    cheap: int = 50
+    dear: int = 4
+    many: int = 5000
+    short: float = 1e-3
+    marks: tuple[int, ...] = (1000, 5000, 10000)
+    held: tuple[tuple[int, int], ...] = ((10, 250), (100, 150), (1000, 40), (10000, 4))
 
 
 @dataclass(frozen=True)
@@ -40,6 +75,7 @@ class Effort:
     tolerances : tuple of float
     orders : (int, int)
         n and p of the law that is derived.
+    sweeps : Sweeps
     """
 
     engines: tuple[str, ...] = tuple(ENGINES)
@@ -50,6 +86,7 @@ class Effort:
     finest: float = 1e-4
     tolerances: tuple[float, ...] = tuple(10.0 ** (-k / 2.0) for k in range(4, 23))
     orders: tuple[int, int] = (4, 4)
+    sweeps: Sweeps = field(default_factory=Sweeps)
 
 
 FULL = Effort()
@@ -62,6 +99,16 @@ QUICK = Effort(
     finest=5e-4,
     tolerances=(1e-4, 1e-6),
     orders=(2, 2),
+    sweeps=Sweeps(
+        rounds=1,
+        points=1,
+        stop_time=0.01,
+        cheap=1,
+        dear=1,
+        many=10,
+        marks=(10, 20),
+        held=((10, 1),),
+    ),
 )
 """Shows that everything runs; its numbers mean nothing."""
 
@@ -89,7 +136,29 @@ def sections(effort: Effort) -> list[str]:
     lines += ["", "### Against no FMUs at all", "", *solver_table(figures)]
     _say("small measurements")
     small = micro.measure(effort.rounds, effort.orders)
-    return [*lines, "", "### Small measurements", "", *micro_table(small)]
+    lines += ["", "### Small measurements", "", *micro_table(small)]
+    return [*lines, *sweep_sections(effort.sweeps)]
+
+
+def sweep_sections(effort: Sweeps) -> list[str]:
+    """The lines on sweeps."""
+    _say("one worker and two")
+    one_two = sweeps.scaling(effort.points, effort.stop_time, effort.rounds)
+    _say("where the time of sweeps goes")
+    overheads = [
+        sweeps.overhead("Fig. 2", effort.dear, {"stop_time": effort.stop_time}),
+        sweeps.overhead(
+            "chosen steps", effort.cheap, {**sweeps.CHEAP, "stop_time": effort.stop_time}
+        ),
+    ]
+    _say("many short runs")
+    short = sweeps.many(effort.many, effort.short, effort.marks)
+    _say("sweeps against fresh FMPy instances")
+    held = [sweeps.fresh(steps, points, effort.rounds) for steps, points in effort.held]
+    lines = ["", "### A sweep on two workers", "", *scaling_table(one_two)]
+    lines += ["", "### Outside the stepping loop", "", *overhead_table(overheads)]
+    lines += ["", "### Many short runs", "", *many_table(short)]
+    return [*lines, "", "### Against fresh FMPy instances", "", *fresh_table(held)]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
