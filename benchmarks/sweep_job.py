@@ -25,7 +25,7 @@ from congelation.study.scenario import Scenario
 from congelation.study.scenario_file import load_scenario
 from congelation.study.sweep import RandomAxis, Sweep
 
-__all__ = ["FRESH", "SWEEP", "Cost", "Job", "do", "elsewhere"]
+__all__ = ["FRESH", "SWEEP", "Cost", "Job", "do", "elsewhere", "measured", "resident"]
 
 ROOT = Path(__file__).absolute().parent.parent
 
@@ -201,18 +201,18 @@ class _Watch:
             return
         children = [child.pid for child in multiprocessing.active_children() if child.pid]
         self.seen.update(children)
-        self._largest = max([self._largest, *map(_resident, children)])
+        self._largest = max([self._largest, *map(resident, children)])
         while self._marks and tally.done >= self._marks[0]:
             self.memory.append(
                 {
                     "runs": self._marks.pop(0),
-                    "parent": _resident(os.getpid()),
+                    "parent": resident(os.getpid()),
                     "worker": self._largest,
                 }
             )
 
 
-def _resident(process: int) -> int:
+def resident(process: int) -> int:
     """Bytes; 0 where the process has ended or the system does not tell."""
     try:
         pages = Path(f"/proc/{process}/statm").read_text().split()[1]
