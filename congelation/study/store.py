@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -189,10 +189,10 @@ class Store:
             _write_whole(_trajectory_table(trajectory), self.trajectory_file(run_id))
         _write_whole(pa.Table.from_pylist([dict(row)]), self.part_file(run_id), _ONE_ROW)
 
-    def finished(self) -> set[str]:
-        """The run_ids that have a readable row."""
+    def finished(self, known: Container[str] = ()) -> set[str]:
+        """The run_ids that have a readable row, those `known` to have one left out."""
         parts = (self.root / "parts").glob("[!.]*.parquet")
-        return {part.stem for part in parts if _is_readable(part)}
+        return {part.stem for part in parts if part.stem not in known and _is_readable(part)}
 
     def is_finished(self, run_id: str) -> bool:
         """Whether a run has a readable row."""
@@ -216,7 +216,7 @@ class Store:
         if not (self.root / "parts").is_dir() and not self.index.is_file():
             raise InvalidInput(f"{self.root} is no result directory")
         rows = list(self.read().rows) if self.index.is_file() else []
-        new = self.finished().difference(row["run_id"] for row in rows)
+        new = self.finished({row["run_id"] for row in rows})
         rows += [self.row(run_id) for run_id in sorted(new)]
         names = dict.fromkeys(name for row in rows for name in row)
         return tuple({name: row.get(name) for name in names} for row in rows)
