@@ -45,8 +45,8 @@ class Sweeps:
     rounds: int = 3
     points: int = 60
     stop_time: float = 10.0
-    cheap: int = 50
-    dear: int = 4
+    cheap: int = 40
+    dear: int = 3
     many: int = 5000
     short: float = 1e-3
     marks: tuple[int, ...] = (1000, 5000, 10000)

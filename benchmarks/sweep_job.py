@@ -15,7 +15,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import Any
 
 from benchmarks.phases import TimedWorkers, Timers, read_runs
@@ -174,6 +174,7 @@ def do(job: Job, folder: Path) -> dict[str, Any]:
         "planning": planned - begin,
         "sweep": perf_counter() - planned,
         "index": timers.seconds["index"],
+        "parent": process_time(),
         "phases": read_runs(folder / TIMED) if job.phases else [],
         "memory": watch.memory,
         "workers": len(watch.seen),

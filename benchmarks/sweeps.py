@@ -39,6 +39,24 @@ class Scaling:
     one: tuple[Cost, ...]
     two: tuple[Cost, ...]
 
+    def elapsed(self, workers: int) -> Timing:
+        """By the clock."""
+        return Timing(tuple(cost.elapsed for cost in self.costs(workers)))
+
+    def path(self, workers: int) -> Timing:
+        """Processor time of the parent and of one worker: what the clock would show, at most, on a
+        machine with nothing else to do."""
+        return Timing(
+            tuple(
+                cost.answer["parent"] + (cost.used - cost.answer["parent"]) / workers
+                for cost in self.costs(workers)
+            )
+        )
+
+    def costs(self, workers: int) -> tuple[Cost, ...]:
+        """Of the sweep on one worker or on two."""
+        return self.one if workers == 1 else self.two
+
 
 @dataclass(frozen=True)
 class Overhead:
