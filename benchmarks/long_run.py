@@ -65,7 +65,7 @@ def long_run_table(found: LongRun) -> list[str]:
     return [
         *table(("macro steps", "resident memory", "processor time"), rows),
         "",
-        f"Goal: memory grows by at most {MEMORY_GOAL - 1.0:.0%} after the first: "
+        f"Goal: memory grows by at most {100.0 * (MEMORY_GOAL - 1.0):.0f} % after the first: "
         f"{verdict(growth <= MEMORY_GOAL)}. Every {found.every}th step was recorded: "
         f"{answer['rows']:,} rows of {answer['columns']} columns, {answer['size'] / 1e6:.0f} MB of "
         f"Parquet. The run took {duration(answer['wall_time'])}, "
