@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
+from scipy.interpolate import PchipInterpolator
 
 from congelation.study.scenario import Case, Scenario
 
@@ -123,9 +124,13 @@ def _metrics(time: Floats, x: Floats, u: Floats) -> dict[str, float]:
         "peak_x": float(size.max()),
         "peak_u": float(np.abs(u).max()),
         "settling_x": _settling(time, size),
-        "ise_x": float(np.trapezoid(size**2, time)),
-        "ise_u": float(np.trapezoid(u**2, time)),
+        "ise_x": _integral(time, size**2),
+        "ise_u": _integral(time, u**2),
     }
+
+
+def _integral(time: Floats, values: Floats) -> float:
+    return float(PchipInterpolator(time, values).integrate(time[0], time[-1]))
 
 
 def _settling(time: Floats, size: Floats) -> float:

@@ -30,7 +30,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
-from scipy.interpolate import PchipInterpolator
 
 from congelation.errors import InvalidInput, nearest
 
@@ -120,6 +119,9 @@ def settling_time(time: Array, values: Array, *, below: float) -> float:
 def _integral(time: Array, integrand: Array) -> float:
     if not np.isfinite(integrand).all():
         return math.inf
+    # Here, as it takes a quarter of a second, which the parent of a sweep need not wait.
+    from scipy.interpolate import PchipInterpolator
+
     return float(PchipInterpolator(time, integrand).integrate(time[0], time[-1]))
 
 
