@@ -54,13 +54,13 @@ def run_adaptive(
                 stepper.accept()
                 size = size.accepted(error, end - time, stepper.order)
                 time = end
-                if time < target or event > session.stop:
+                if time < target or math.isinf(event):
                     session.record(time)
             else:
                 stepper.reject()
                 session.rejected += 1
                 size = size.refused(error, end - time, stepper.order)
-        if event <= session.stop:
+        if math.isfinite(event):
             session.cross(time, event)
             time = event
             size = size.restarted(min(size.length, stepper.first_step()))

@@ -70,13 +70,11 @@ class Description:
 
     path: Path
     sha256: str
-    model_name: str
     model_identifier: str
     guid: str
     variables: Mapping[str, Variable]
     dependencies: Mapping[str, tuple[str, ...] | None]
     can_get_and_set_state: bool
-    can_serialize_state: bool
     can_interpolate_inputs: bool
     can_vary_step: bool
     once_per_process: bool
@@ -131,13 +129,11 @@ def _read(path: Path) -> Description:
     return Description(
         path=path,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
-        model_name=model.modelName,
         model_identifier=simulation.modelIdentifier,
         guid=model.guid,
         variables=MappingProxyType({v.name: _variable(v) for v in model.modelVariables}),
         dependencies=MappingProxyType({u.variable.name: _names(u) for u in model.outputs}),
         can_get_and_set_state=simulation.canGetAndSetFMUstate,
-        can_serialize_state=simulation.canSerializeFMUstate,
         can_interpolate_inputs=simulation.canInterpolateInputs,
         can_vary_step=simulation.canHandleVariableCommunicationStepSize,
         once_per_process=simulation.canBeInstantiatedOnlyOncePerProcess,

@@ -35,7 +35,7 @@ def run_fixed(session: Session, step: float) -> None:
     start, stop = session.start, session.stop
     advance, record = session.stepper.advance, session.record
     count = number_of_steps(start, stop, step)
-    near = EVENT_ROUNDING * step
+    near = EVENT_ROUNDING * min(step, stop - start)
     event = session.next_event(start)
     time = start
     for k in range(1, count + 1):
@@ -55,8 +55,6 @@ def _land(session: Session, time: float, event: float, end: float, near: float) 
     """Step to a jump and over it; returns the time after it."""
     before = min(just_before(event), end)
     after = max(event, end) if abs(end - event) <= near else event
-    if after > session.stop:
-        before, after = just_before(session.stop), session.stop
     if before > time:
         session.stepper.advance(time, before)
     else:

@@ -10,6 +10,7 @@ import tempfile
 from collections import deque
 from dataclasses import dataclass, field
 from pathlib import Path
+from weakref import WeakValueDictionary
 
 import fmpy
 from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
@@ -128,7 +129,8 @@ def load(description: Description, name: str, log: Log) -> FMU2Slave:
 
 
 _FOLDERS: dict[str, Path] = {}
-_LOGS: dict[int, Log] = {}
+# Of the instances that there are; a message that comes later has nobody to hear it.
+_LOGS: WeakValueDictionary[int, Log] = WeakValueDictionary()
 _NUMBERS = itertools.count(1)
 
 

@@ -27,6 +27,12 @@ __all__ = ["simulate"]
 SLAVE_SHARE = 0.1
 """Of the tolerance of a run, the part given to the FMUs' own integration."""
 
+RESOLVED = 16.0
+"""Units in the last place of time that the shortest period takes."""
+
+MOST_POINTS = 1e12
+"""Of one kind in a run: so many take months."""
+
 
 def simulate(
     system: System,
@@ -85,9 +91,13 @@ def simulate(
         The system, the times or the coupling are wrong.
     """
     begin = clock.perf_counter()
-    _check_times(start_time, stop_time, step, tolerance)
     output = output or Output()
     chosen = _coupling(coupling, options)
+    _check_times(start_time, stop_time, step, tolerance)
+    periods = {"step": step, "output interval": output.interval, **chosen.periods}
+    for name, period in periods.items():
+        if period is not None:
+            _check_period(name, period, start_time, stop_time)
     resolved = system.resolve()
     _check_abilities(resolved, chosen, (start_time, stop_time), step, tolerance)
     recorded = resolved.recorded(record)
@@ -151,16 +161,28 @@ def _advanced(
 def _check_times(
     start_time: float, stop_time: float, step: float | None, tolerance: float | None
 ) -> None:
-    if not (math.isfinite(start_time) and math.isfinite(stop_time) and stop_time > start_time):
+    if not (math.isfinite(stop_time - start_time) and stop_time > start_time):
         raise InvalidInput(
             f"stop_time {stop_time:g} must be finite and after start_time {start_time:g}"
         )
     if step is None and tolerance is None:
         raise InvalidInput("give a communication step or a tolerance")
-    if step is not None and not (math.isfinite(step) and step > 0.0):
-        raise InvalidInput(f"step {step:g} must be positive, in seconds")
     if tolerance is not None and not 0.0 < tolerance < 1.0:
         raise InvalidInput(f"tolerance {tolerance:g} must lie between 0 and 1")
+
+
+def _check_period(name: str, period: float, start_time: float, stop_time: float) -> None:
+    if not (math.isfinite(period) and period > 0.0):
+        raise InvalidInput(f"{name} {period:g} must be positive and finite, in seconds")
+    smallest = max(
+        RESOLVED * math.ulp(max(abs(start_time), abs(stop_time))),
+        (stop_time - start_time) / MOST_POINTS,
+    )
+    if period < smallest:
+        raise InvalidInput(
+            f"{name} {period:g} is too small from {start_time:g} to {stop_time:g}; it is at least "
+            f"{smallest:.2g} there, in seconds"
+        )
 
 
 def _coupling(coupling: str | Coupling, options: Mapping[str, object] | None) -> Coupling:
@@ -183,10 +205,21 @@ def _check_abilities(
         require_states(system, "a tolerance (steps are taken back)")
     if coupling.rolls_back:
         require_states(system, f"the coupling '{coupling.name}' (steps are repeated)")
-    varies = tolerance is not None or (step is not None and not divides(*horizon, step))
+    varies = tolerance is not None or (
+        step is not None and not _one_length(*horizon, step, coupling)
+    )
     for member in system.members:
         if varies and not member.description.can_vary_step:
             raise InvalidInput(
                 f"component '{member.name}': {member.description.path.name} takes steps of one "
-                "length only; give no tolerance, and a step that divides the horizon"
+                "length only; give no tolerance, and a step that divides the horizon and whatever "
+                "the coupling samples"
             )
+
+
+def _one_length(start: float, stop: float, step: float, coupling: Coupling) -> bool:
+    """Whether all steps have the same length: none is cut at the end, or by the coupling."""
+    periods = coupling.periods.values()
+    return divides(start, stop, step) and all(
+        divides(0.0, max(step, period), min(step, period)) for period in periods
+    )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
+from errno import EISDIR
 from pathlib import Path
 from types import TracebackType
 
@@ -11,6 +12,8 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow
 import pyarrow.parquet
+
+from congelation.errors import InvalidInput
 
 __all__ = ["BLOCK_ROWS", "Memory", "ParquetFile", "Recorder", "Sink"]
 
@@ -81,9 +84,20 @@ class ParquetFile(Sink):
         self._part = self.path.with_name(self.path.name + ".part")
 
     def open(self, columns: Sequence[str]) -> None:
-        """Create the file."""
+        """Create the file.
+
+        Raises
+        ------
+        InvalidInput
+            It cannot be written there.
+        """
         self._schema = pyarrow.schema([(name, pyarrow.float64()) for name in columns])
-        self._writer = pyarrow.parquet.ParquetWriter(self._part, self._schema)
+        try:
+            if self.path.is_dir():
+                raise IsADirectoryError(EISDIR, "it is a directory")
+            self._writer = pyarrow.parquet.ParquetWriter(self._part, self._schema)
+        except OSError as error:
+            raise InvalidInput(f"{self.path} cannot be written: {error.strerror}") from error
 
     def write(self, block: Floats) -> None:
         """Write a row group."""

@@ -70,7 +70,7 @@ class Statistics:
         Announced jumps on which a communication point was placed.
     estimated_error : float
         Largest estimated distance of an input, while its FMU stepped, from the output that
-        drives it, relative to the input's nominal value plus its size.
+        drives it, relative to the output's nominal value plus its size.
     wall_time : float
         Seconds, initialisation included.
     """

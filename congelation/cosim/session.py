@@ -72,6 +72,7 @@ class Session:
         self._time = start
         self._progress = progress
         self._next_report = 0.0
+        self._crossing_calls = 0
         self._is_initialised = False
 
     def initialise(self, slave_tolerance: float | None) -> None:
@@ -109,8 +110,14 @@ class Session:
         self._rows.start(self.start)
 
     def next_event(self, time: float) -> float:
-        """The first announced jump after `time` on which a communication point is placed."""
-        return self.ensemble.outputs.next_event(time) if self._lands else math.inf
+        """The first announced jump after `time` on which a communication point is placed.
+
+        It is at most the stop time, or infinite; within rounding of the stop time it is there.
+        """
+        event = self.ensemble.outputs.next_event(time) if self._lands else math.inf
+        if event > self.stop:
+            return math.inf
+        return event if event < just_before(self.stop) else self.stop
 
     def cross(self, before: float, after: float) -> None:
         """Step over a jump that lies between two neighbouring points of time.
@@ -127,6 +134,7 @@ class Session:
             write()
         for slave in ensemble.slaves:
             slave.step(before, after - before)
+        self._crossing_calls += sum(ensemble.inputs.write_calls) + len(ensemble.slaves)
         self._exchange.run(after)
         self.stepper.start(after)
         self.events += 1
@@ -166,7 +174,7 @@ class Session:
             macro_steps=self.steps,
             rejected=self.rejected,
             sweeps=self.stepper.sweeps,
-            fmi_calls=self.stepper.calls,
+            fmi_calls=self.stepper.calls + self._crossing_calls,
             events=self.events,
             estimated_error=self.stepper.estimated_error,
             wall_time=wall_time,

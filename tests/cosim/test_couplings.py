@@ -1,5 +1,7 @@
 """Couplings against the monolithic solution: orders, jumps, mixed systems, loops, roll-back."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -62,6 +64,28 @@ def test_jumps_do_not_lower_the_order(loop, coupling, steps, expected):
     for result in results:
         assert result.statistics.events == 4
         assert {0.65, 1.3, 3 * 0.65, 2.6} <= set(result.time.tolist())
+
+
+@pytest.mark.parametrize("units", [-12, -8, -3, -1, 0, 1, 2, 8, 12])
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {"coupling": "hermite", "tolerance": 1e-4},
+        {"coupling": "derivative", "tolerance": 1e-3},
+        {"coupling": "derivative", "step": 0.05},
+        {"coupling": "hermite", "step": 1e300},
+    ],
+)
+def test_a_run_may_end_a_rounding_error_before_or_after_a_jump(loop, kwargs, units):
+    """Four half periods of 0.65 s, less or more so many units in the last place."""
+    stop = 2.6 + units * math.ulp(2.6)
+    result = simulate(loop({"a": 1.0}), stop_time=stop, record=RECORD, **kwargs)
+    assert result.completed, result.message
+    assert result.time[-1] == stop
+    assert (np.diff(result.time) > 0.0).all()
+    assert result.statistics.events in (3, 4)
+    end = simulate(loop({"a": 1.0}), stop_time=2.59, record=RECORD, **kwargs).values[-1]
+    assert result.values[-1] == pytest.approx(end, abs=0.05)
 
 
 def test_jumps_on_grid_points_add_no_rows(loop):

@@ -176,10 +176,16 @@ def test_a_long_run_to_disk_needs_no_more_memory_than_a_short_one(fmus, tmp_path
     ("kwargs", "message"),
     [
         ({"every": 0}, "at least 1"),
-        ({"interval": 0.0}, "must be positive"),
         ({"interval": 0.1, "every": 2}, "give one of the two"),
     ],
 )
 def test_outputs_are_checked(kwargs, message):
     with pytest.raises(InvalidInput, match=message):
         Output(**kwargs)
+
+
+@pytest.mark.parametrize("name", ["missing/rows.parquet", "."])
+def test_a_file_that_cannot_be_written_is_refused(loop, tmp_path, name):
+    sink = ParquetFile(tmp_path / name)
+    with pytest.raises(InvalidInput, match="cannot be written"):
+        simulate(loop(), stop_time=1.0, step=0.1, output=Output(sink=sink))

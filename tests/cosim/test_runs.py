@@ -9,12 +9,14 @@ from congelation.cosim import (
     COUPLINGS,
     Component,
     Connection,
+    Output,
     SlavePool,
     Status,
     System,
     make_coupling,
     simulate,
 )
+from congelation.cosim.coupling import Sampled
 from congelation.cosim.fixed import number_of_steps
 from congelation.errors import InvalidInput
 
@@ -212,6 +214,17 @@ def test_progress_goes_from_the_start_to_one(loop):
         ({"stop_time": 1.0}, "give a communication step or a tolerance"),
         ({"stop_time": 1.0, "step": -0.1}, "step -0.1 must be positive"),
         ({"stop_time": 1.0, "step": math.nan}, "must be positive"),
+        ({"stop_time": 1.0, "step": 1e-300}, "step 1e-300 is too small from 0 to 1"),
+        ({"stop_time": 1.0, "tolerance": 1e-3, "step": 1e-17}, "too small"),
+        ({"start_time": 1e17, "stop_time": 1e17 + 1e4, "step": 10.0}, "it is at least 2.6e+02"),
+        ({"stop_time": 1e308, "step": 0.1}, "too small from 0 to 1e+308"),
+        ({"start_time": -1e308, "stop_time": 1e308, "step": 0.1}, "must be finite"),
+        ({"stop_time": 1.0, "step": 0.1, "output": Output(interval=0.0)}, "output interval 0"),
+        ({"stop_time": 1.0, "step": 0.1, "output": Output(interval=1e-13)}, "output interval"),
+        (
+            {"stop_time": 1.0, "step": 0.1, "coupling": Sampled(1e-300)},
+            "sample_time 1e-300 is too small",
+        ),
         ({"stop_time": 1.0, "tolerance": 0.0}, "must lie between 0 and 1"),
         ({"stop_time": 1.0, "step": 0.1, "coupling": "jakobi"}, "did you mean 'jacobi'"),
         (
@@ -243,7 +256,15 @@ def test_options_belong_to_a_name(loop):
     [
         ("hermite", {"sweeps": 0}, "sweeps 0"),
         ("hermite", {"max_sweeps": 0}, "max_sweeps 0"),
-        ("hermite", {"tolerance": -1.0}, "must be positive"),
+        ("hermite", {"tolerance": -1.0}, "must lie between 0 and 1"),
+        ("hermite", {"tolerance": math.inf}, "must lie between 0 and 1"),
+        ("hermite", {"sweeps": 1.5}, "sweeps = 1.5: an integer is needed"),
+        ("hermite", {"sweeps": True}, "sweeps = True: an integer is needed"),
+        ("hermite", {"order": 5}, "order 5; valid: 4, 6"),
+        ("hermite", {"order": "6"}, "order = '6': an integer is needed"),
+        ("hermite", {"acceleration": 1}, "a text is needed"),
+        ("sampled", {"sample_time": "0.1"}, "sample_time = '0.1': a number is needed"),
+        ("sampled", {"sample_time": 0.1, "delay": 2}, "delay 2"),
         ("hermite", {"acceleration": "magic"}, "broyden"),
         ("derivative", {"sequence": "zeidel"}, "gauss_seidel"),
         ("jacobi", {"step": 1.0}, "takes no options"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from types import MappingProxyType
+from typing import Any, get_args, get_type_hints
 
 from congelation.cosim.coupling.base import AdaptiveStepper, Coupling, Stepper
 from congelation.cosim.coupling.derivative import Derivative
@@ -46,15 +47,29 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
     kind = COUPLINGS[name]
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]  # every coupling is a dataclass
     known = [field.name for field in fields]
+    types = get_type_hints(kind)
     given = dict(options or {})
-    for option in given:
+    for option, value in given.items():
         if option not in known:
             hint = nearest(option, known) if known else "it takes no options"
             raise InvalidInput(f"coupling '{name}': no option '{option}'; {hint}")
+        _check_type(f"coupling '{name}': {option} = {value!r}", value, types[option])
     for field in fields:
         if field.default is dataclasses.MISSING and field.name not in given:
             raise InvalidInput(f"coupling '{name}' needs the option '{field.name}'")
     try:
         return kind(**given)
-    except (TypeError, ValueError) as error:
+    except InvalidInput as error:
         raise InvalidInput(f"coupling '{name}': {error}") from error
+
+
+_WANTED = {float: "a number", int: "an integer", str: "a text"}
+
+
+def _check_type(what: str, value: object, annotation: Any) -> None:
+    """Refuse a value of another type than the option's; integers are numbers, truth values not."""
+    allowed = get_args(annotation) or (annotation,)
+    numbers = (int,) if float in allowed else ()
+    if isinstance(value, bool) or not isinstance(value, (*allowed, *numbers)):
+        wanted = " or ".join(_WANTED[kind] for kind in allowed if kind in _WANTED)
+        raise InvalidInput(f"{what}: {wanted} is needed")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from typing import ClassVar
 
 from congelation.cosim.ensemble import Ensemble
@@ -106,6 +107,11 @@ class Coupling(ABC):
     @abstractmethod
     def rolls_back(self) -> bool:
         """Whether a step is repeated from saved states even where its length is fixed."""
+
+    @property
+    def periods(self) -> Mapping[str, float]:
+        """Times between points that the coupling adds of its own, in seconds, by option."""
+        return {}
 
     @abstractmethod
     def stepper(self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None) -> Stepper:

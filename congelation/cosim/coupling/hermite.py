@@ -62,7 +62,7 @@ class Hermite(Coupling):
         Exactly so many plain sweeps per step; with None, as many as it takes.
     tolerance : float
         Change at which sweeps end, relative to nominal value plus size. Where steps are chosen by a
-        tolerance, that one is used.
+        tolerance, it is 0.3 times that one instead.
     max_sweeps : int
         After these a step counts as not converged.
     acceleration : str
@@ -88,8 +88,10 @@ class Hermite(Coupling):
         for name, value in (("sweeps", self.sweeps), ("max_sweeps", self.max_sweeps)):
             if value is not None and value < 1:
                 raise InvalidInput(f"{name} {value}: at least 1 is needed")
-        if not self.tolerance > 0.0:
-            raise InvalidInput(f"tolerance {self.tolerance:g} of the sweeps must be positive")
+        if not 0.0 < self.tolerance < 1.0:
+            raise InvalidInput(
+                f"tolerance {self.tolerance:g} of the sweeps must lie between 0 and 1"
+            )
 
     @property
     def rolls_back(self) -> bool:

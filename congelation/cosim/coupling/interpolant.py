@@ -3,6 +3,8 @@ their error told afterwards."""
 
 from __future__ import annotations
 
+from math import log
+
 import numpy as np
 import numpy.typing as npt
 
@@ -165,4 +167,5 @@ class Interpolant:
 
 def _order_of_longer_step(low: float, high: float) -> int:
     """The order whose scaled error (1 is the tolerance) allows the longer next step."""
-    return HIGH if high**LOW < low**HIGH else LOW
+    # By logarithms, as powers might overflow; an error of zero allows any step.
+    return HIGH if high == 0.0 or (low > 0.0 and LOW * log(high) < HIGH * log(low)) else LOW

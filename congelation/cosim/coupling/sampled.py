@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -52,6 +53,11 @@ class Sampled(Coupling):
     def rolls_back(self) -> bool:
         """No step is repeated."""
         return False
+
+    @property
+    def periods(self) -> Mapping[str, float]:
+        """The sample time."""
+        return {"sample_time": self.sample_time}
 
     def stepper(self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None) -> Stepper:
         """This coupling at work."""
