@@ -16,11 +16,11 @@ __all__ = ["EveryStep", "OutputGrid", "Rows"]
 
 Floats = npt.NDArray[np.float64]
 
-INTERPOLATION_NODES = 4
-"""Values without derivatives are interpolated by cubics."""
+NODES = 6
+"""Values without derivatives are interpolated by quintics, through three points on either side."""
 
 SMOOTH_NODES = 3
-"""Values with derivatives, by quintics, as under the coupling of the highest order."""
+"""Values with derivatives as well: the order is that of the coupling of the highest order."""
 
 GRID_ROUNDING = 1e-9
 """A communication point this near to a grid point, in grid intervals, is taken for it."""
@@ -95,8 +95,9 @@ class OutputGrid(Rows):
     """The points t_0 + k dt and the last one, whatever the communication points are.
 
     Between two communication points, a variable whose derivative is read follows the quintic
-    through values and derivatives at both and at a neighbour; any other the cubic through the two
-    and their neighbours on either side. Jumps are not interpolated across.
+    through values and derivatives at both and at a neighbour; any other the quintic through the
+    values at three points on either side, or the nearest there are. Jumps are not interpolated
+    across.
 
     Parameters
     ----------
@@ -124,9 +125,9 @@ class OutputGrid(Rows):
 
     def point(self, time: float) -> None:
         self._add(time)
-        if len(self._times) == INTERPOLATION_NODES:
-            # One point late, so that an interval has its neighbour on the right.
-            self._emit(INTERPOLATION_NODES - 2)
+        if len(self._times) == NODES:
+            # Two points late, so that an interval has its neighbours on the right.
+            self._emit(NODES // 2)
 
     def before_jump(self, time: float) -> None:
         if time > self._times[-1]:
@@ -147,7 +148,7 @@ class OutputGrid(Rows):
     def _add(self, time: float) -> None:
         row = np.empty(self._width)
         self._ensemble.fill(row)
-        keep = INTERPOLATION_NODES - 1
+        keep = NODES - 1
         self._times = [*self._times[-keep:], time]
         self._values = [*self._values[-keep:], row]
         self._derivatives = [*self._derivatives[-keep:], self._ensemble.outputs.Y[self._slopes]]

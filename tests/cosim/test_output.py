@@ -69,7 +69,7 @@ def test_dense_output_keeps_to_the_tolerance(loop):
         )
         errors[output] = np.abs(result.values - solution(result.time)).max(axis=0)
     at_steps, between = errors.values()
-    # q has no derivative among the outputs, and cubics of values are all there is for it.
+    # q has no derivative among the outputs, and its values are all there is.
     assert between[0] < at_steps[0] + 3e-7
     assert between[1] < at_steps[1] + 3e-7
 
