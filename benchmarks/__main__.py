@@ -43,14 +43,14 @@ class Sweeps:
     """
 
     rounds: int = 3
-    points: int = 60
+    points: int = 100
     stop_time: float = 10.0
     cheap: int = 40
     dear: int = 3
     many: int = 5000
     short: float = 1e-3
     marks: tuple[int, ...] = (1000, 5000, 10000)
-    held: tuple[tuple[int, int], ...] = ((10, 250), (100, 150), (1000, 40), (10000, 4))
+    held: tuple[tuple[int, int], ...] = ((10, 400), (100, 200), (1000, 20), (10000, 2))
 
 
 @dataclass(frozen=True)

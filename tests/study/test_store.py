@@ -171,3 +171,19 @@ def test_identifiers(tmp_path: Path) -> None:
     (tmp_path / "empty").write_bytes(b"")
     assert file_hash(tmp_path / "empty").startswith("e3b0c44298fc1c14")
     assert len(code_version().partition("+")[2]) == 12
+
+
+def test_many_rows_are_compacted_in_order_and_types_meet(store: Store) -> None:
+    """More than are joined at a time; a column that is empty, whole or not there at first."""
+    count = 600
+    names = [f"{k:04d}" for k in range(count)]
+    for k, name in enumerate(names):
+        late = {"late": 0.5 * k} if k >= count // 2 else {}
+        store.write({"run_id": name, "number": k if k < 300 else 0.5 + k, "seed": None, **late})
+    store.compact(names[::-1], ABOUT)
+
+    rows = store.read().rows
+    assert [row["run_id"] for row in rows] == names[::-1]
+    assert rows[0] == {"run_id": "0599", "number": 599.5, "seed": None, "late": 299.5}
+    assert rows[-1] == {"run_id": "0000", "number": 0.0, "seed": None, "late": None}
+    assert store.rows() == rows
