@@ -27,7 +27,8 @@ from congelation.cosim.result import Status
 from congelation.errors import InvalidInput, nearest
 from congelation.report.labels import math_label, with_unit
 from congelation.study.metrics import norm
-from congelation.study.store import Store, Trajectory, replace_whole
+from congelation.study.records import Trajectory
+from congelation.study.store import Store, replace_whole
 
 __all__ = ["FORMATS", "SETTINGS", "draw", "figure_names", "save"]
 

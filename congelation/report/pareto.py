@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from congelation.errors import InvalidInput, nearest
 from congelation.report.figures import SETTINGS
 from congelation.report.labels import with_unit
-from congelation.study.store import Study
+from congelation.study.records import Study
 
 __all__ = ["draw_front", "pareto_front"]
 

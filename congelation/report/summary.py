@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from congelation.errors import InvalidInput, nearest
-from congelation.study.store import Study
+from congelation.study.records import Study
 
 __all__ = [
     "Summary",

@@ -151,7 +151,7 @@ def lyapunov(case: Case, time: Array, columns: Sequence[str], values: Array) -> 
 
 def deviation(case: Case, time: Array, columns: Sequence[str], values: Array) -> float:
     """The largest distance from the monolithic solution, relative to a variable's peak."""
-    from congelation.study.store import Trajectory  # as above
+    from congelation.study.records import Trajectory  # as above
     from congelation.study.verify import compare, reference
 
     found = compare(reference(case), Trajectory(time, tuple(columns), values, {}))

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import cast
 
 from congelation.cosim.description import describe
+from congelation.study.identity import code_version, content_hash, file_hash
 from congelation.study.scenario import EXPERIMENT, Case, Scenario
 from congelation.study.start_values import Scalar
-from congelation.study.store import code_version, content_hash, file_hash
 from congelation.study.sweep import Settings
 
 __all__ = ["Run", "plan_run", "plan_runs", "varied_settings"]

@@ -20,8 +20,9 @@ from congelation.cosim.pool import SlavePool
 from congelation.errors import CongelationError, InvalidInput
 from congelation.study.execute import execute, lost_row
 from congelation.study.plan import Run, plan_run
+from congelation.study.records import Trajectory
 from congelation.study.scenario import Scenario
-from congelation.study.store import Store, StoreError, Trajectory
+from congelation.study.store import Store, StoreError
 from congelation.study.sweep import Settings
 
 __all__ = ["REFUSED", "TIMED_OUT", "Done", "Pilot", "Task", "Work", "pilot", "stop_when", "work"]

@@ -11,14 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from congelation.errors import CongelationError, InvalidInput
-from congelation.study.store import (
-    Store,
-    Trajectory,
-    code_version,
-    content_hash,
-    file_hash,
-    replace_whole,
-)
+from congelation.study.identity import code_version, content_hash, file_hash
+from congelation.study.records import Trajectory
+from congelation.study.store import Store, replace_whole
 
 ABOUT = {"title": "A study", "figures": []}
 
