@@ -89,13 +89,14 @@ def plan_sweep(scenario: Scenario, folder: Path, *, resume: bool) -> Plan:
     first = next(sweep.points(), None)
     if first is None:
         raise InvalidInput(f"{scenario.file}: sweep.constraints leave no point")
-    varied = varied_settings(scenario, first)
+    repetitions = tuple(sweep.repetitions())
+    varied = varied_settings(scenario, (*first, *repetitions[0][1]))
     tasks: dict[str, Task] = {}
-    for point in sweep.points():
+    for point, (replicate, seeds) in itertools.product(sweep.points(), repetitions):
         for variant in scenario.variants:
-            settings = {**variant.settings, **point}
+            settings = {**variant.settings, **point, **seeds}
             run_id = plan_run(scenario, variant.name, settings, varied).run_id
-            tasks[run_id] = Task(run_id, variant.name, settings)
+            tasks[run_id] = Task(run_id, variant.name, settings, replicate)
     missing = tuple(task for run_id, task in tasks.items() if run_id not in done)
     light = replace(scenario, sweep=None, text="")
     shared = Work(light, store, varied, sweep.trajectories, sweep.seed, sweep.timeout)
@@ -232,7 +233,7 @@ def _one_by_one(shared: Work, tasks: Sequence[Task], workers: Workers, counts: _
 
 
 def _died(shared: Work, task: Task) -> dict[str, Any]:
-    run = plan_run(shared.scenario, task.variant, task.settings, shared.varied, shared.seed)
+    run = task.run(shared)
     message = "The worker process died twice in this run; an FMU may have crashed it."
     return lost_row(run, shared.scenario, WORKER_DIED, message)
 

@@ -81,6 +81,7 @@ def _row(
     return {
         "run_id": run.run_id,
         "variant": run.variant,
+        **({} if run.replicate is None else {"replicate": run.replicate}),
         **run.settings,
         "status": status,
         "message": message,

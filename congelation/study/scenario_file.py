@@ -43,6 +43,7 @@ _KEYS = (
 _RESERVED = (
     "run_id",
     "variant",
+    "replicate",
     "status",
     "message",
     "macro_steps",

@@ -50,6 +50,18 @@ class Task:
     run_id: str
     variant: str
     settings: Settings
+    replicate: int | None = None
+
+    def run(self, shared: Work) -> Run:
+        """What it stands for, planned as the parent planned it."""
+        return plan_run(
+            shared.scenario,
+            self.variant,
+            self.settings,
+            shared.varied,
+            shared.seed,
+            self.replicate,
+        )
 
 
 @dataclass(frozen=True)
@@ -133,9 +145,14 @@ class _Worker:
         return str(row["status"])
 
     def run(self, task: Task) -> Run:
-        """The run of a task, planned as the parent planned it."""
-        shared = self.shared
-        run = plan_run(shared.scenario, task.variant, task.settings, shared.varied, shared.seed)
+        """The run of a task.
+
+        Raises
+        ------
+        InvalidInput
+            If it is another one than the parent planned.
+        """
+        run = task.run(self.shared)
         if run.run_id != task.run_id:
             raise InvalidInput(
                 f"{_name()}: congelation or the FMUs are not those that planned the sweep; "
