@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections import defaultdict
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import pytest
 from congelation.study.store import Store
 from tests.study.scenarios import SCALAR, write
 from tests.study.test_replicates import REPLICATED, SEED
-from tests.test_cli import congelation, one_line
+from tests.test_cli import congelation
 from tests.test_cli_sweep import rows, sweep
 
 pytestmark = pytest.mark.slow
@@ -21,10 +22,19 @@ TELEGRAPH = (
 )
 
 
-def test_replicates_differ_by_their_seed_alone_and_more_of_them_only_add(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    first = sweep(write(tmp_path, SCALAR + REPLICATED, TELEGRAPH), out)
-    assert first.returncode == 0, first.stderr
+@pytest.fixture(scope="module")
+def replicated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The results of three replicates at two points, for two variants."""
+    folder = tmp_path_factory.mktemp("replicated")
+    done = sweep(write(folder, SCALAR + REPLICATED, TELEGRAPH), folder / "out")
+    assert done.returncode == 0, done.stderr
+    return folder / "out"
+
+
+def test_replicates_differ_by_their_seed_alone_and_more_of_them_only_add(
+    replicated: Path, tmp_path: Path
+) -> None:
+    out = shutil.copytree(replicated, tmp_path / "out")
     before = rows(out)
     assert len(before) == 2 * 2 * 3
     parts = {part: part.stat().st_mtime_ns for part in (out / "parts").iterdir()}
@@ -46,10 +56,8 @@ def test_replicates_differ_by_their_seed_alone_and_more_of_them_only_add(tmp_pat
     assert all(len(found) == 5 for found in peaks.values())  # the signals do differ
 
 
-def test_reports_are_over_replicates_or_by_them(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    done = sweep(write(tmp_path, SCALAR + REPLICATED, TELEGRAPH), out)
-    assert done.returncode == 0, done.stderr
+def test_reports_are_over_replicates_or_by_them(replicated: Path) -> None:
+    out = replicated
     report = congelation("report", out, "--by", "variant", "--by", "controller.epsilon").stdout
     lines = [line for line in report.splitlines() if line.startswith("Controller 1, 0.5")]
     found = Store(out).read().rows
@@ -64,12 +72,3 @@ def test_reports_are_over_replicates_or_by_them(tmp_path: Path) -> None:
     by_replicate = congelation("report", out, "--by", "replicate").stdout.splitlines()
     assert [line.split()[:2] for line in by_replicate[1:4]] == [["1", "4"], ["2", "4"], ["3", "4"]]
     assert congelation("ls", out).stdout.split()[:3] == ["run_id", "variant", "replicate"]
-
-
-def test_without_replicates_there_is_no_such_column(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    plain = REPLICATED.replace("replicates = 3\n", "").replace(f'reseed = ["{SEED}"]\n', "")
-    assert sweep(write(tmp_path, SCALAR + plain), out).returncode == 0
-    assert not any("replicate" in row for row in rows(out))
-    line = one_line(congelation("report", out, "--by", "replicate"), 2)
-    assert "'replicate' is no column to group by" in line

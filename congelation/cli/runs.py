@@ -76,6 +76,14 @@ def sweep(
     resume: Annotated[
         bool, typer.Option("--resume", help="Do what is missing in the result directory.")
     ] = False,
+    retry: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Resume, and do runs that ended so again (repeatable): timed_out, worker_died, ..",
+            metavar="STATUS",
+            show_default=False,
+        ),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what there is to do and what it takes, and stop.")
     ] = False,
@@ -88,7 +96,8 @@ def sweep(
     if workers is not None and scheduler is not None:
         raise InvalidInput("give --workers or --scheduler, not both")
     place = Processes(workers or 1) if scheduler is None else Cluster(scheduler)
-    plan = plan_sweep(_read(scenario), folder, resume=resume or dry_run)
+    again = [status.upper().replace("-", "_") for status in retry or ()]
+    plan = plan_sweep(_read(scenario), folder, resume=bool(resume or dry_run or again), retry=again)
     try:
         _announce(plan, place, folder, measured=dry_run or len(plan.missing) >= MEASURED)
         if dry_run:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,12 +24,20 @@ from congelation.study.plan import plan_run, varied_settings
 from congelation.study.provenance import about
 from congelation.study.scenario import Scenario
 from congelation.study.store import Store
-from congelation.study.workers import Done, Task, Work, work
+from congelation.study.workers import REFUSED, TIMED_OUT, Done, Task, Work, work
 
-__all__ = ["WORKER_DIED", "Plan", "Tally", "plan_sweep", "run_sweep"]
+__all__ = ["FAILURES", "WORKER_DIED", "Plan", "Tally", "plan_sweep", "run_sweep"]
 
 WORKER_DIED = "WORKER_DIED"
 """Status of a run that ended its worker process twice."""
+
+FAILURES = (
+    *(status.name for status in Status if status is not Status.COMPLETED),
+    REFUSED,
+    TIMED_OUT,
+    WORKER_DIED,
+)
+"""How a run may end other than at its stop time."""
 
 CHUNK = 16
 """Most runs per task: a task costs about a millisecond, and a dead worker's chunk is done again."""
@@ -69,14 +77,30 @@ class Plan:
     missing: tuple[Task, ...]
 
 
-def plan_sweep(scenario: Scenario, folder: Path, *, resume: bool) -> Plan:
+def plan_sweep(
+    scenario: Scenario, folder: Path, *, resume: bool, retry: Collection[str] = ()
+) -> Plan:
     """The runs of a sweep, every variant at every point, each content once.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    folder : Path
+        The result directory.
+    resume : bool
+        Whether the directory may have runs, which are not done again.
+    retry : collection of str
+        Those of `FAILURES` that are done again nevertheless.
 
     Raises
     ------
     InvalidInput
-        If the scenario has no sweep, or the directory has runs and `resume` is false.
+        If the scenario has no sweep, the directory has runs and `resume` is false, or there is no
+        such status.
     """
+    for status in retry:
+        if status not in FAILURES:
+            raise InvalidInput(f"'{status}' is no status to retry; valid: {', '.join(FAILURES)}")
     sweep = scenario.sweep
     if sweep is None:
         raise InvalidInput(f"{scenario.file}: no [sweep]; give its axes, or use: congelation run")
@@ -97,10 +121,21 @@ def plan_sweep(scenario: Scenario, folder: Path, *, resume: bool) -> Plan:
             settings = {**variant.settings, **point, **seeds}
             run_id = plan_run(scenario, variant.name, settings, varied).run_id
             tasks[run_id] = Task(run_id, variant.name, settings, replicate)
-    missing = tuple(task for run_id, task in tasks.items() if run_id not in done)
+    missing = (_missing(task, store, done, retry) for task in tasks.values())
     light = replace(scenario, sweep=None, text="")
     shared = Work(light, store, varied, sweep.trajectories, sweep.seed, sweep.timeout)
-    return Plan(scenario, shared, tuple(tasks), missing)
+    return Plan(scenario, shared, tuple(tasks), tuple(task for task in missing if task))
+
+
+def _missing(
+    task: Task, store: Store, done: Collection[str], retry: Collection[str]
+) -> Task | None:
+    """The task, if it is to be done."""
+    if task.run_id not in done:
+        return task
+    if retry and store.row(task.run_id)["status"] in retry:
+        return replace(task, replaces=store.written(task.run_id))
+    return None
 
 
 def run_sweep(
@@ -194,7 +229,7 @@ def _together(
                     counts.add(future.result())
                 except BrokenExecutor:
                     lost += chunk
-    finished = {task.run_id for task in lost if shared.store.is_finished(task.run_id)}
+    finished = {task.run_id for task in lost if task.is_done(shared.store)}
     counts.add_statuses([shared.store.row(run_id)["status"] for run_id in finished])
     return tuple(task for task in lost if task.run_id not in finished)
 
@@ -226,7 +261,7 @@ def _one_by_one(shared: Work, tasks: Sequence[Task], workers: Workers, counts: _
                 try:
                     counts.add(_submit(crew.executor, shared, [task]).result())
                 except BrokenExecutor:
-                    if not shared.store.is_finished(task.run_id):
+                    if not task.is_done(shared.store):
                         shared.store.write(_died(shared, task))
                     counts.add_statuses([shared.store.row(task.run_id)["status"]])
                     break

@@ -68,6 +68,8 @@ class Store:
     def write(self, row: Row, trajectory: Trajectory | None = None) -> None:
         """Store a finished run: its trajectory first, if it is kept, then its row.
 
+        They replace those of an earlier attempt.
+
         Raises
         ------
         StoreError
@@ -77,15 +79,18 @@ class Store:
         if trajectory is not None:
             _write_whole(_trajectory_table(trajectory), self.trajectory_file(run_id))
         _write_whole(pa.Table.from_pylist([dict(row)]), self.part_file(run_id))
+        if trajectory is None:
+            _discard(self.trajectory_file(run_id))
 
     def finished(self) -> set[str]:
         """The run_ids that have a readable row."""
         parts = (self.root / "parts").glob("[!.]*.parquet")
         return {part.stem for part in parts if _is_readable(part)}
 
-    def is_finished(self, run_id: str) -> bool:
-        """Whether a run has a readable row."""
-        return _is_readable(self.part_file(run_id))
+    def written(self, run_id: str) -> int | None:
+        """When the row of a run was written, in nanoseconds; None without a readable row."""
+        part = self.part_file(run_id)
+        return part.stat().st_mtime_ns if _is_readable(part) else None
 
     def row(self, run_id: str) -> dict[str, Any]:
         """The row of a finished run."""

@@ -45,12 +45,20 @@ PILOT_LIMIT = 3.0
 
 @dataclass(frozen=True)
 class Task:
-    """A run to do, small enough to send: a worker makes the `Run` of it."""
+    """A run to do, small enough to send: a worker makes the `Run` of it.
+
+    `replaces` says when the row was written that this one is to replace, None if there is none.
+    """
 
     run_id: str
     variant: str
     settings: Settings
     replicate: int | None = None
+    replaces: int | None = None
+
+    def is_done(self, store: Store) -> bool:
+        """Whether the store holds the row that is to be made."""
+        return store.written(self.run_id) not in (None, self.replaces)
 
     def run(self, shared: Work) -> Run:
         """What it stands for, planned as the parent planned it."""
@@ -129,7 +137,7 @@ class _Worker:
     def do(self, task: Task) -> str:
         """Do and store one run; returns its status."""
         shared = self.shared
-        if shared.store.is_finished(task.run_id):  # by a worker that died before it could tell
+        if task.is_done(shared.store):  # by a worker that died before it could tell
             return str(shared.store.row(task.run_id)["status"])
         run = self.run(task)
         trajectory: Trajectory | None = None

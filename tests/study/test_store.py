@@ -86,6 +86,19 @@ def test_a_new_state_of_the_scenario_replaces_the_old_one(store: Store) -> None:
     assert [file.name for file in store.root.glob("*/*")] == ["new.parquet", "new.parquet"]
 
 
+def test_a_new_attempt_leaves_nothing_of_the_old_one(store: Store) -> None:
+    assert store.written("a") is None
+    store.write({"run_id": "a", "status": "SLAVE_FAILED"}, trajectory())
+    first = store.written("a")
+    store.write({"run_id": "a", "status": "TIMED_OUT"})
+    second = store.written("a")
+    assert first is not None
+    assert second is not None
+    assert first < second
+    assert store.row("a")["status"] == "TIMED_OUT"
+    assert not store.trajectory_file("a").exists()
+
+
 def test_a_sweep_is_not_replaced(store: Store) -> None:
     assert store.replaceable() == set()
     store.write({"run_id": "a"})
