@@ -60,6 +60,8 @@ class Metric:
     loop : bool
         True if the metric is of the closed loop as a whole: a scenario gives no `of`, and it is
         ``evaluate(case, time, columns, values)``, the states of the loop among the columns.
+    recorded : bool
+        True if such a metric is of every variable that the experiment records.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Metric:
     unit: Callable[[str], str]
     scalar: bool = False
     loop: bool = False
+    recorded: bool = False
 
     @property
     def options(self) -> dict[str, bool]:
@@ -243,6 +246,7 @@ _BUILT_IN = (
         " DOP853 (Hairer, Norsett and Wanner 1993): the error of the coupling",
         _ratio,
         loop=True,
+        recorded=True,
     ),
 )
 

@@ -9,12 +9,11 @@ from __future__ import annotations
 import os
 import resource
 import socket
-import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 from congelation.cosim.pool import SlavePool
 from congelation.errors import CongelationError, InvalidInput
@@ -25,7 +24,17 @@ from congelation.study.scenario import Scenario
 from congelation.study.store import Store, StoreError
 from congelation.study.sweep import Settings
 
-__all__ = ["REFUSED", "TIMED_OUT", "Done", "Pilot", "Task", "Work", "pilot", "stop_when", "work"]
+__all__ = [
+    "REFUSED",
+    "TIMED_OUT",
+    "Done",
+    "Task",
+    "Work",
+    "Worker",
+    "at_work",
+    "stop_when",
+    "work",
+]
 
 REFUSED = "REFUSED"
 """Status of a run that could not begin; its message is that of the InvalidInput."""
@@ -35,12 +44,6 @@ TIMED_OUT = "TIMED_OUT"
 
 GRACE = 5.0
 """Seconds past the timeout after which a run that does not return from its FMUs is given up."""
-
-PILOT_FRACTIONS = (0.02, 0.2, 1.0)
-"""Parts of a run that a pilot does, until one took `PILOT_SECONDS`."""
-PILOT_SECONDS = 0.3
-PILOT_LIMIT = 3.0
-"""Seconds after which no further run is measured."""
 
 
 @dataclass(frozen=True)
@@ -109,15 +112,6 @@ class Done:
     memory: int
 
 
-@dataclass(frozen=True)
-class Pilot:
-    """What a run takes, by the mean over some: seconds, and bytes of the result directory."""
-
-    runs: int
-    seconds: float
-    size: int
-
-
 class _Stopped(Exception):
     """The parent asked to stop."""
 
@@ -126,7 +120,7 @@ class _TimedOut(Exception):
     """The run took longer than it may."""
 
 
-class _Worker:
+class Worker:
     """What a worker process holds between tasks."""
 
     def __init__(self, shared: Work) -> None:
@@ -153,7 +147,7 @@ class _Worker:
         return str(row["status"])
 
     def run(self, task: Task) -> Run:
-        """The run of a task.
+        """The run of a task; without its trajectory, it records what is measured alone.
 
         Raises
         ------
@@ -166,7 +160,11 @@ class _Worker:
                 f"{_name()}: congelation or the FMUs are not those that planned the sweep; "
                 "install the same version everywhere, leave both alone meanwhile, and --resume"
             )
-        return run
+        columns = self.shared.scenario.measured
+        if self.shared.trajectories or columns is None:
+            return run
+        experiment = replace(run.case.experiment, record=columns)
+        return replace(run, case=replace(run.case, experiment=experiment))
 
     def _timed(self, run: Run) -> tuple[dict[str, object], Trajectory]:
         limit = self.shared.timeout
@@ -203,14 +201,14 @@ class _Process:
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.stopped: Callable[[], bool] = lambda: False
-        self._worker: _Worker | None = None
+        self._worker: Worker | None = None
 
-    def worker(self, shared: Work) -> _Worker:
+    def worker(self, shared: Work) -> Worker:
         """The worker for a sweep; that of another sweep frees its FMUs first."""
         if self._worker is None or self._worker.shared != shared:
             if self._worker is not None:
                 self._worker.pool.close()
-            self._worker = _Worker(shared)
+            self._worker = Worker(shared)
         return self._worker
 
 
@@ -220,6 +218,13 @@ _PROCESS = _Process()
 def stop_when(stopped: Callable[[], bool]) -> None:
     """Let this process end its runs in the middle as soon as `stopped` is true."""
     _PROCESS.stopped = stopped
+
+
+@contextmanager
+def at_work(shared: Work) -> Iterator[Worker]:
+    """This process's worker for a sweep, for one task at a time."""
+    with _PROCESS.lock:
+        yield _PROCESS.worker(shared)
 
 
 def work(shared: Work, tasks: Sequence[Task]) -> Done:
@@ -233,8 +238,7 @@ def work(shared: Work, tasks: Sequence[Task]) -> Done:
         If this process has another version of the code or of the FMUs than the parent.
     """
     done: list[str] = []
-    with _PROCESS.lock:
-        worker = _PROCESS.worker(shared)
+    with at_work(shared) as worker:
         for task in tasks:
             try:
                 done.append(worker.do(task))
@@ -242,53 +246,6 @@ def work(shared: Work, tasks: Sequence[Task]) -> Done:
                 break
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
     return Done(_name(), tuple(done), memory)
-
-
-def pilot(shared: Work, tasks: Sequence[Task]) -> Pilot:
-    """Measure runs, or as much of each as takes long enough to be measured; stores nothing.
-
-    Ends early, with fewer of the tasks, when it has taken `PILOT_LIMIT`.
-
-    Raises
-    ------
-    CongelationError
-        If a run cannot begin.
-    """
-    end = time.monotonic() + PILOT_LIMIT
-    measured: list[Pilot] = []
-    with _PROCESS.lock, tempfile.TemporaryDirectory() as folder:
-        worker = _PROCESS.worker(shared)
-        first = _part(worker.run(tasks[0]), PILOT_FRACTIONS[0])
-        execute(first, shared.scenario, worker.pool)  # loads the FMUs, which counts for no run
-        for task in tasks:
-            measured.append(_measure(worker, worker.run(task), Store(Path(folder))))
-            if time.monotonic() > end:
-                break
-    runs = len(measured)
-    seconds = sum(one.seconds for one in measured) / runs
-    return Pilot(runs, seconds, round(sum(one.size for one in measured) / runs))
-
-
-def _measure(worker: _Worker, run: Run, store: Store) -> Pilot:
-    shared = worker.shared
-    for fraction in PILOT_FRACTIONS:
-        begin = time.perf_counter()
-        row, trajectory = execute(_part(run, fraction), shared.scenario, worker.pool)
-        store.write(row, trajectory if shared.trajectories else None)
-        seconds = time.perf_counter() - begin
-        if seconds > PILOT_SECONDS:
-            break
-    size = store.part_file(run.run_id).stat().st_size
-    if shared.trajectories:
-        size += round(store.trajectory_file(run.run_id).stat().st_size / fraction)
-    return Pilot(1, seconds / fraction, size)
-
-
-def _part(run: Run, fraction: float) -> Run:
-    """The first part of a run."""
-    experiment = run.case.experiment
-    stop = experiment.start_time + fraction * (experiment.stop_time - experiment.start_time)
-    return replace(run, case=replace(run.case, experiment=replace(experiment, stop_time=stop)))
 
 
 def _name() -> str:
