@@ -226,7 +226,7 @@ def _together(
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 chunk = running.pop(future)
                 try:
-                    counts.add(future.result())
+                    counts.add(_received(future, shared))
                 except BrokenExecutor:
                     lost += chunk
     finished = {task.run_id for task in lost if task.is_done(shared.store)}
@@ -241,6 +241,14 @@ def _submit(executor: Executor, shared: Work, chunk: list[Task]) -> Future[Done]
         failed: Future[Done] = Future()
         failed.set_exception(error)
         return failed
+
+
+def _received(future: Future[Done], shared: Work) -> Done:
+    """What a worker has done, stored here if it could not store it itself."""
+    done = future.result()
+    for shipment in done.shipments:
+        shared.store.write(shipment.row, shipment.trajectory)
+    return replace(done, shipments=())
 
 
 def _chunks(waiting: deque[Task], budget: int, size: int) -> Iterator[list[Task]]:
@@ -259,7 +267,7 @@ def _one_by_one(shared: Work, tasks: Sequence[Task], workers: Workers, counts: _
             while remaining:
                 task = remaining.popleft()
                 try:
-                    counts.add(_submit(crew.executor, shared, [task]).result())
+                    counts.add(_received(_submit(crew.executor, shared, [task]), shared))
                 except BrokenExecutor:
                     if not task.is_done(shared.store):
                         shared.store.write(_died(shared, task))

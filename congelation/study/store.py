@@ -65,10 +65,10 @@ class Store:
                 f"results cannot be written to {self.root}: {error.strerror}"
             ) from error
 
-    def write(self, row: Row, trajectory: Trajectory | None = None) -> None:
+    def write(self, row: Row, trajectory: Trajectory | bytes | None = None) -> None:
         """Store a finished run: its trajectory first, if it is kept, then its row.
 
-        They replace those of an earlier attempt.
+        They replace those of an earlier attempt. A trajectory may be the bytes of its file.
 
         Raises
         ------
@@ -76,7 +76,10 @@ class Store:
             If a file cannot be written; the run then does not count as finished.
         """
         run_id = str(row["run_id"])
-        if trajectory is not None:
+        if isinstance(trajectory, bytes):
+            content = trajectory
+            replace_whole(self.trajectory_file(run_id), lambda file: file.write_bytes(content))
+        elif trajectory is not None:
             _write_whole(_trajectory_table(trajectory), self.trajectory_file(run_id))
         _write_whole(pa.Table.from_pylist([dict(row)]), self.part_file(run_id))
         if trajectory is None:

@@ -19,7 +19,7 @@ from congelation.cosim.pool import SlavePool
 from congelation.errors import CongelationError, InvalidInput
 from congelation.study.execute import execute, lost_row
 from congelation.study.plan import Run, plan_run
-from congelation.study.records import Trajectory
+from congelation.study.records import Row, Trajectory
 from congelation.study.scenario import Scenario
 from congelation.study.store import Store, StoreError
 from congelation.study.sweep import Settings
@@ -28,10 +28,12 @@ __all__ = [
     "REFUSED",
     "TIMED_OUT",
     "Done",
+    "Shipment",
     "Task",
     "Work",
     "Worker",
     "at_work",
+    "last_words",
     "stop_when",
     "work",
 ]
@@ -104,12 +106,21 @@ class Work:
 
 
 @dataclass(frozen=True)
+class Shipment:
+    """A run that a worker could not store where it belongs: its row, and its trajectory's file."""
+
+    row: Row
+    trajectory: bytes | None
+
+
+@dataclass(frozen=True)
 class Done:
     """What a worker tells of its tasks: how each run ended, and its largest memory so far."""
 
     worker: str
     statuses: tuple[str, ...]
     memory: int
+    shipments: tuple[Shipment, ...] = ()
 
 
 class _Stopped(Exception):
@@ -188,7 +199,9 @@ class Worker:
 
     def _give_up(self, run: Run) -> None:
         """End this process, which an FMU does not give back."""
-        self.shared.store.write(lost_row(run, self.shared.scenario, TIMED_OUT, self._too_long()))
+        row = lost_row(run, self.shared.scenario, TIMED_OUT, self._too_long())
+        self.shared.store.write(row)
+        _PROCESS.last_words(row)
         os._exit(1)
 
     def _too_long(self) -> str:
@@ -201,6 +214,7 @@ class _Process:
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.stopped: Callable[[], bool] = lambda: False
+        self.last_words: Callable[[Row], None] = lambda row: None
         self._worker: Worker | None = None
 
     def worker(self, shared: Work) -> Worker:
@@ -218,6 +232,11 @@ _PROCESS = _Process()
 def stop_when(stopped: Callable[[], bool]) -> None:
     """Let this process end its runs in the middle as soon as `stopped` is true."""
     _PROCESS.stopped = stopped
+
+
+def last_words(told: Callable[[Row], None]) -> None:
+    """Let this process tell the row of the run that it ends itself for, besides storing it."""
+    _PROCESS.last_words = told
 
 
 @contextmanager
