@@ -54,7 +54,7 @@ class Tally:
     failed : int
         Those done by this call that did not reach their stop time.
     memory : int
-        Bytes: the largest so far of each worker heard of, added up.
+        Bytes: the largest that each worker heard of had between its tasks, added up.
     """
 
     done: int
@@ -184,7 +184,7 @@ class _Counts:
 
     def add(self, done: Done) -> None:
         """Count what a worker has done."""
-        self._memory[done.worker] = done.memory
+        self._memory[done.worker] = max(done.memory, self._memory.get(done.worker, 0))
         self.add_statuses(done.statuses)
 
     def add_statuses(self, statuses: Sequence[str]) -> None:

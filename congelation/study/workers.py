@@ -7,13 +7,14 @@ the parent only how the runs ended.
 from __future__ import annotations
 
 import os
-import resource
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+
+import psutil
 
 from congelation.cosim.pool import SlavePool
 from congelation.errors import CongelationError, InvalidInput
@@ -115,7 +116,7 @@ class Shipment:
 
 @dataclass(frozen=True)
 class Done:
-    """What a worker tells of its tasks: how each run ended, and its largest memory so far."""
+    """What a worker tells of its tasks: how each run ended, and the memory that it has now."""
 
     worker: str
     statuses: tuple[str, ...]
@@ -200,9 +201,11 @@ class Worker:
     def _give_up(self, run: Run) -> None:
         """End this process, which an FMU does not give back."""
         row = lost_row(run, self.shared.scenario, TIMED_OUT, self._too_long())
-        self.shared.store.write(row)
-        _PROCESS.last_words(row)
-        os._exit(1)
+        try:
+            self.shared.store.write(row)
+            _PROCESS.last_words(row)
+        finally:
+            os._exit(1)
 
     def _too_long(self) -> str:
         return f"The run took longer than {self.shared.timeout:g} s; see sweep.timeout."
@@ -263,8 +266,7 @@ def work(shared: Work, tasks: Sequence[Task]) -> Done:
                 done.append(worker.do(task))
             except _Stopped:
                 break
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
-    return Done(_name(), tuple(done), memory)
+    return Done(_name(), tuple(done), psutil.Process().memory_info().rss)
 
 
 def _name() -> str:
