@@ -24,6 +24,7 @@ from congelation.study.plan import plan_run, varied_settings
 from congelation.study.provenance import about
 from congelation.study.scenario import Scenario
 from congelation.study.store import Store
+from congelation.study.sweep import Sweep
 from congelation.study.workers import REFUSED, TIMED_OUT, Done, Task, Work, work
 
 __all__ = ["FAILURES", "WORKER_DIED", "Plan", "Tally", "plan_sweep", "run_sweep"]
@@ -110,21 +111,24 @@ def plan_sweep(
         raise InvalidInput(
             f"{folder} holds {len(done)} finished runs; give --resume to go on, or another --out"
         )
-    first = next(sweep.points(), None)
-    if first is None:
+    if next(sweep.points(), None) is None:
         raise InvalidInput(f"{scenario.file}: sweep.constraints leave no point")
-    repetitions = tuple(sweep.repetitions())
-    varied = varied_settings(scenario, (*first, *repetitions[0][1]))
-    tasks: dict[str, Task] = {}
-    for point, (replicate, seeds) in itertools.product(sweep.points(), repetitions):
-        for variant in scenario.variants:
-            settings = {**variant.settings, **point, **seeds}
-            run_id = plan_run(scenario, variant.name, settings, varied).run_id
-            tasks[run_id] = Task(run_id, variant.name, settings, replicate)
+    varied = varied_settings(scenario, sweep.names())
+    tasks = {task.run_id: task for task in _tasks(scenario, sweep, varied)}
     missing = (_missing(task, store, done, retry) for task in tasks.values())
     light = replace(scenario, sweep=None, text="")
     shared = Work(light, store, varied, sweep.trajectories, sweep.seed, sweep.timeout)
     return Plan(scenario, shared, tuple(tasks), tuple(task for task in missing if task))
+
+
+def _tasks(scenario: Scenario, sweep: Sweep, varied: Sequence[str]) -> Iterator[Task]:
+    """Every variant at every point, as often as it is repeated."""
+    repetitions = tuple(sweep.repetitions())
+    for point, (replicate, seeds) in itertools.product(sweep.points(), repetitions):
+        for variant in scenario.variants:
+            settings = {**variant.settings, **point, **seeds}
+            run_id = plan_run(scenario, variant.name, settings, varied).run_id
+            yield Task(run_id, variant.name, settings, replicate)
 
 
 def _missing(

@@ -102,7 +102,8 @@ class Processes(Workers):
 class Cluster(Workers):
     """The workers of a dask.distributed scheduler.
 
-    On an error, runs that are under way are finished and stored, those that wait are cancelled.
+    On an error, runs that are under way are finished and stored, those that wait are cancelled;
+    with a cargo nobody is left to store them.
 
     Parameters
     ----------

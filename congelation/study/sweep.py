@@ -205,6 +205,12 @@ class Sweep:
         """Number of points, before the constraints leave some out."""
         return math.prod(len(entries) for entries in self.lists) * max(self.samples, 1)
 
+    def names(self) -> tuple[str, ...]:
+        """The settings that differ between runs."""
+        lists = (name for entries in self.lists for name in entries[0])
+        reseeded = self.replicates.reseeded if self.replicates is not None else ()
+        return (*lists, *(axis.name for axis in self.axes), *reseeded)
+
     def points(self) -> Iterator[dict[str, Scalar]]:
         """The settings of every point, the sample's varying fastest."""
         sample = list(self._sample())
