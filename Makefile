@@ -59,7 +59,7 @@ format: .venv/installed
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
-bench: fmus
+bench: fmus .venv-cofmupy/installed
 	$(BIN)/python -m benchmarks
 
 lock:

@@ -8,8 +8,9 @@ from benchmarks.accuracy import MINUTE, OURS, SOLVERS, TARGETS, Accuracy, Reache
 from benchmarks.engines import ENGINES
 from benchmarks.macro_step import BARE, NAIVE, MacroStep
 from benchmarks.macro_step import OURS as MASTER
+from benchmarks.markdown import Row, duration, microseconds, power, spread, table, verdict
 from benchmarks.micro import Micro
-from benchmarks.timing import Timing, median_ratio
+from benchmarks.timing import median_ratio
 
 __all__ = ["accuracy_table", "macro_step_table", "micro_table", "solver_table"]
 
@@ -25,32 +26,30 @@ LABELS = {
     NAIVE: "naive pair in a plain FMPy loop",
 }
 
-Row = Sequence[str]
-
 
 def macro_step_table(found: MacroStep) -> list[str]:
     """Cost per macro step."""
     ours, fmus = found.times[MASTER], found.fmus
-    rows: list[Row] = [("the FMUs' own time in it", _microseconds(fmus), "", "", "")]
+    rows: list[Row] = [("the FMUs' own time in it", microseconds(fmus), "", "", "")]
     for name, time in found.times.items():
         goal = ""
         ratio = median_ratio(time, ours)
         if name not in (MASTER, BARE):
             wanted = NAIVE_GOAL if name == NAIVE else PEER_GOAL
-            goal = f"{wanted:g}: {_verdict(ratio >= wanted)}"
+            goal = f"{wanted:g}: {verdict(ratio >= wanted)}"
         over = "" if name == NAIVE else f"{(time.median - fmus.median) * 1e6:.1f}"
-        rows.append((_label(name), _microseconds(time), over, f"{ratio:.2f}", goal))
+        rows.append((_label(name), microseconds(time), over, f"{ratio:.2f}", goal))
     head = ("", "µs per macro step", "over the FMUs' own", "÷ congelation", "goal")
-    return [*_table(head, rows), *_not_run(found.failures)]
+    return [*table(head, rows), *_not_run(found.failures)]
 
 
 def accuracy_table(found: Accuracy) -> list[str]:
     """Time to reach each error, against engines with held inputs."""
     head = (
         "",
-        *map(_power, TARGETS),
+        *map(power, TARGETS),
         "order",
-        f"÷ congelation at {_power(GOAL_TARGET)}",
+        f"÷ congelation at {power(GOAL_TARGET)}",
     )
     ours = [found.reached.get((OURS, target)) for target in TARGETS]
     rows: list[Row] = [("congelation, `hermite`", *map(_reached, ours), "", "1")]
@@ -63,10 +62,10 @@ def accuracy_table(found: Accuracy) -> list[str]:
             ratios.append(held.seconds(GOAL_TARGET) / best.time.median)
             ratio = _rounded(ratios[-1])
         rows.append((_label(name), *map(_duration, times), f"{held.order:.2f}", ratio))
-    lines = [*_table(head, rows), *_not_run(found.failures)]
+    lines = [*table(head, rows), *_not_run(found.failures)]
     if ratios:
-        goal = f"{ACCURACY_GOAL:,.0f} times the best of them at {_power(GOAL_TARGET)}"
-        lines += ["", f"Goal: {goal}: {_verdict(min(ratios) >= ACCURACY_GOAL)}."]
+        goal = f"{ACCURACY_GOAL:,.0f} times the best of them at {power(GOAL_TARGET)}"
+        lines += ["", f"Goal: {goal}: {verdict(min(ratios) >= ACCURACY_GOAL)}."]
     return lines
 
 
@@ -74,8 +73,8 @@ def solver_table(found: Sequence[Accuracy]) -> list[str]:
     """Time to reach each error, against solve_ivp on the same equations without FMUs."""
     head = (
         "",
-        *map(_power, TARGETS),
-        f"congelation ÷ it at {_power(GOAL_TARGET)}",
+        *map(power, TARGETS),
+        f"congelation ÷ it at {power(GOAL_TARGET)}",
         "goal",
     )
     rows: list[Row] = []
@@ -87,9 +86,9 @@ def solver_table(found: Sequence[Accuracy]) -> list[str]:
             ratio = goal = ""
             if program != OURS and ours is not None and other is not None:
                 value = median_ratio(ours.time, other.time)
-                ratio, goal = f"{value:.1f}", f"{SOLVER_GOAL:g}: {_verdict(value <= SOLVER_GOAL)}"
+                ratio, goal = f"{value:.1f}", f"{SOLVER_GOAL:g}: {verdict(value <= SOLVER_GOAL)}"
             rows.append((f"{figure.title}: {label}", *map(_reached, reached), ratio, goal))
-    return _table(head, rows)
+    return table(head, rows)
 
 
 def micro_table(found: Sequence[Micro]) -> list[str]:
@@ -97,19 +96,14 @@ def micro_table(found: Sequence[Micro]) -> list[str]:
     rows = [
         (
             one.what,
-            _spread(one.time),
+            spread(one.time),
             ""
             if one.goal is None
-            else f"{_time(one.goal)}: {_verdict(one.time.median <= one.goal)}",
+            else f"{duration(one.goal)}: {verdict(one.time.median <= one.goal)}",
         )
         for one in found
     ]
-    return _table(("", "median (least – most)", "goal"), rows)
-
-
-def _table(head: Row, rows: Sequence[Row]) -> list[str]:
-    lines = [head, ["---"] * len(head), *rows]
-    return ["| " + " | ".join(line) + " |" for line in lines]
+    return table(("", "median (least – most)", "goal"), rows)
 
 
 def _not_run(failures: Sequence[str]) -> list[str]:
@@ -121,16 +115,6 @@ def _label(name: str) -> str:
         return LABELS[name]
     entry = ENGINES[name]
     return f"{entry.label} ({entry.quirk})" if entry.quirk else entry.label
-
-
-def _verdict(is_met: bool) -> str:
-    return "met" if is_met else "**missed**"
-
-
-def _power(target: float) -> str:
-    """1e-6 rather than 1e-06."""
-    mantissa, _, exponent = f"{target:.0e}".partition("e")
-    return f"{mantissa}e{int(exponent)}"
 
 
 def _reached(found: Reached | None) -> str:
@@ -153,18 +137,3 @@ def _duration(seconds: float) -> str:
 def _rounded(value: float) -> str:
     """Two digits, with separators."""
     return f"{float(f'{value:.1e}'):,.0f}"
-
-
-def _microseconds(time: Timing) -> str:
-    return f"{time.median * 1e6:.1f} ({time.least * 1e6:.1f} – {time.most * 1e6:.1f})"
-
-
-def _spread(time: Timing) -> str:
-    return f"{_time(time.median)} ({_time(time.least)} – {_time(time.most)})"
-
-
-def _time(seconds: float) -> str:
-    for unit, size in (("s", 1.0), ("ms", 1e-3)):
-        if seconds >= size:
-            return f"{seconds / size:.3g} {unit}"
-    return f"{seconds * 1e6:.3g} µs"

@@ -42,7 +42,7 @@ def run_adaptive(
     """
     horizon = session.stop - session.start
     guess = min(stepper.first_step(), FIRST_SHARE * horizon)
-    size = StepSize(first_step if first_step is not None else guess, stepper.order)
+    size = StepSize(first_step if first_step is not None else guess)
     time = session.start
     while time < session.stop:
         event = session.next_event(time)
@@ -52,14 +52,14 @@ def run_adaptive(
             error = _tried(session, stepper, time, end, tolerance)
             if error <= 1.0:
                 stepper.accept()
-                size = size.accepted(error, end - time)
+                size = size.accepted(error, end - time, stepper.order)
                 time = end
                 if time < target or event > session.stop:
                     session.record(time)
             else:
                 stepper.reject()
                 session.rejected += 1
-                size = size.refused(error, end - time)
+                size = size.refused(error, end - time, stepper.order)
         if event <= session.stop:
             session.cross(time, event)
             time = event

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg.lapack import dgesv
 
 __all__ = ["Broyden"]
 
@@ -37,6 +36,10 @@ class Broyden:
     """
 
     def __init__(self, size: int) -> None:
+        # Here, as it takes a tenth of a second that runs without feedback do not need.
+        from scipy.linalg.lapack import dgesv
+
+        self._dgesv = dgesv
         self.J: Floats = np.zeros((size, size))
         self._z: Floats | None = None
         self._r: Floats | None = None
@@ -64,7 +67,7 @@ class Broyden:
         """The next iterate, shape (n,), from the last one learnt."""
         if self._z is None or self._r is None:
             raise RuntimeError("nothing learnt yet")
-        _, _, change, info = dgesv(np.eye(len(self._z)) - self.J, self._r)
+        _, _, change, info = self._dgesv(np.eye(len(self._z)) - self.J, self._r)
         # A singular matrix has no quasi-Newton step; the plain one goes on.
         found: Floats = self._z + (change if info == 0 else self._r)
         return found

@@ -24,7 +24,7 @@ from congelation.errors import InvalidInput, SlaveError
 
 __all__ = ["simulate"]
 
-SLAVE_SHARE = 1e-2
+SLAVE_SHARE = 0.1
 """Of the tolerance of a run, the part given to the FMUs' own integration."""
 
 
@@ -67,7 +67,7 @@ def simulate(
     output : Output, optional
         Which rows are recorded, and where to; by default every communication point, in memory.
     slave_tolerance : float, optional
-        Relative tolerance given to the FMUs (fmi2SetupExperiment). By default a hundredth of
+        Relative tolerance given to the FMUs (fmi2SetupExperiment). By default a tenth of
         `tolerance`, and without one that of the FMUs.
     progress : callable, optional
         Called with the fraction done, from 0 to 1, about ten times a second.

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.coupling.history import differentiation
+from congelation.cosim.coupling.polynomial import interpolation
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.recorder import Recorder
 
@@ -16,7 +17,10 @@ __all__ = ["EveryStep", "OutputGrid", "Rows"]
 Floats = npt.NDArray[np.float64]
 
 INTERPOLATION_NODES = 4
-"""Values without derivatives are interpolated by cubics, as those with derivatives are."""
+"""Values without derivatives are interpolated by cubics."""
+
+SMOOTH_NODES = 3
+"""Values with derivatives, by quintics, as under the coupling of the highest order."""
 
 GRID_ROUNDING = 1e-9
 """A communication point this near to a grid point, in grid intervals, is taken for it."""
@@ -90,9 +94,9 @@ class EveryStep(Rows):
 class OutputGrid(Rows):
     """The points t_0 + k dt and the last one, whatever the communication points are.
 
-    Between two communication points, a variable whose derivative is read follows the cubic
-    through values and derivatives at both; any other the cubic through the two and their
-    neighbours on either side. Jumps are not interpolated across.
+    Between two communication points, a variable whose derivative is read follows the quintic
+    through values and derivatives at both and at a neighbour; any other the cubic through the two
+    and their neighbours on either side. Jumps are not interpolated across.
 
     Parameters
     ----------
@@ -169,14 +173,8 @@ class OutputGrid(Rows):
             return self._values[k]
         weights, _ = differentiation(np.array(self._times), time)
         row: Floats = weights @ np.array(self._values)
-        t0, t1 = self._times[k], self._times[k + 1]
-        h = t1 - t0
-        s = (time - t0) / h
-        v0, v1 = self._values[k][self._smooth], self._values[k + 1][self._smooth]
-        d0, d1 = self._derivatives[k], self._derivatives[k + 1]
-        row[self._smooth] = (
-            (1.0 + 2.0 * s) * (1.0 - s) ** 2 * v0
-            + s**2 * (3.0 - 2.0 * s) * v1
-            + h * s * (1.0 - s) * ((1.0 - s) * d0 - s * d1)
-        )
+        nodes = slice(max(k - 1, 0), max(k - 1, 0) + SMOOTH_NODES)
+        values = [row[self._smooth] for row in self._values[nodes]]
+        weights, _ = interpolation(self._times[nodes], time)
+        row[self._smooth] = weights @ np.array([*values, *self._derivatives[nodes]])
         return row

@@ -30,8 +30,6 @@ class StepSize:
     ----------
     length : float
         Seconds.
-    order : int
-        The error estimate falls with this power of the step.
     error_before : float
         Scaled error (1 is the tolerance) of the last accepted step.
     rejected : bool
@@ -39,27 +37,23 @@ class StepSize:
     """
 
     length: float
-    order: int
     error_before: float = 1.0
     rejected: bool = False
 
-    def accepted(self, error: float, length: float) -> StepSize:
-        """After a step of `length` with scaled error `error` <= 1."""
+    def accepted(self, error: float, length: float, order: int) -> StepSize:
+        """After a step of `length` with scaled error `error` <= 1, which falls with the power
+        `order` of the step."""
         error = max(error, SMALLEST_ERROR)
-        change = (
-            SAFETY
-            * error ** (-INTEGRAL / self.order)
-            * self.error_before ** (PROPORTIONAL / self.order)
-        )
+        change = SAFETY * error ** (-INTEGRAL / order) * self.error_before ** (PROPORTIONAL / order)
         largest = 1.0 if self.rejected else LARGEST_CHANGE
         change = min(largest, max(SMALLEST_CHANGE, change))
         return replace(self, length=length * change, error_before=error, rejected=False)
 
-    def refused(self, error: float, length: float) -> StepSize:
+    def refused(self, error: float, length: float, order: int) -> StepSize:
         """After a step of `length` that was taken back; `error` may be infinite."""
         change = SMALLEST_CHANGE
         if math.isfinite(error):
-            change = min(SAFETY, max(SMALLEST_CHANGE, SAFETY * error ** (-1.0 / self.order)))
+            change = min(SAFETY, max(SMALLEST_CHANGE, SAFETY * error ** (-1.0 / order)))
         return replace(self, length=length * change, rejected=True)
 
     def restarted(self, length: float) -> StepSize:

@@ -14,14 +14,10 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
 from congelation.cosim.result import Status
 from congelation.errors import InvalidInput, nearest
@@ -29,6 +25,10 @@ from congelation.report.labels import math_label, with_unit
 from congelation.study.metrics import norm
 from congelation.study.records import Trajectory
 from congelation.study.store import Store, replace_whole
+
+if TYPE_CHECKING:  # Matplotlib takes half a second, which only commands that draw should wait for
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 __all__ = ["FORMATS", "SETTINGS", "draw", "figure_names", "save"]
 
@@ -106,6 +106,8 @@ def draw(store: Store, name: str) -> Figure:
     InvalidInput
         If the study defines no such figure.
     """
+    import matplotlib as mpl
+
     study = store.read()
     figures = {str(f["name"]): f for f in study.about["figures"]}
     if name not in figures:
@@ -126,6 +128,8 @@ def draw(store: Store, name: str) -> Figure:
 
 def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:
     """Write a figure as PDF and PNG; returns the files."""
+    import matplotlib as mpl
+
     # It warns of the dates in Matplotlib's own fonts, which nobody here can mend.
     logging.getLogger("fontTools").setLevel(logging.ERROR)
     files = tuple(folder / f"{name}.{suffix}" for suffix in FORMATS)
@@ -141,6 +145,9 @@ def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:
 
 
 def _draw(runs: Sequence[_Run], panels: Sequence[str]) -> Figure:
+    from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
+
     variants = [run.variant for run in runs]
     figure = Figure(
         figsize=(_WIDTH, _MARGIN_HEIGHT + _PANEL_HEIGHT * len(panels)), layout="constrained"
@@ -213,6 +220,8 @@ def _same(a: _Curve, b: _Curve) -> bool:
 
 
 def _panel(axis: Axes, panel: str, curves: Sequence[_Curve], variants: Sequence[str]) -> None:
+    from matplotlib.lines import Line2D
+
     units = {curve.label: curve.unit for curve in curves}
     labels = list(units)
     for curve in curves:

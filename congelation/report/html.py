@@ -7,14 +7,16 @@ from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from io import BytesIO
 from pathlib import Path
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING
 
 from congelation.cosim.result import Status
 from congelation.report.figures import draw, figure_names
 from congelation.report.summary import Summary, metric_definitions, summarise
 from congelation.study.records import Study
 from congelation.study.store import Store, replace_whole
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["write_html"]
 

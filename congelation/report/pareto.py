@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.figure import Figure
 
 from congelation.errors import InvalidInput, nearest
 from congelation.report.figures import SETTINGS
 from congelation.report.labels import with_unit
 from congelation.study.records import Study
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["draw_front", "pareto_front"]
 
@@ -54,6 +55,9 @@ def draw_front(study: Study, metrics: Sequence[str]) -> Figure:
     InvalidInput
         If there are not two metrics, or no such metric.
     """
+    import matplotlib as mpl  # here, as in congelation.report.figures
+    from matplotlib.figure import Figure
+
     if len(metrics) != 2:
         raise InvalidInput(f"a figure of a Pareto front has two metrics, not {len(metrics)}")
     front = np.array([[row[name] for name in metrics] for row in pareto_front(study, metrics)])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import cos, inf, sin
 from typing import NamedTuple
 
@@ -47,6 +47,19 @@ class Segment(NamedTuple):
             for a, w, k, p in self.chirps:
                 total += a * sin((w + k * t) * t + p)
         return total
+
+    def formula(self) -> Callable[[float], float]:
+        """`value` as a function of time alone, to the bit, for where it is evaluated often."""
+        held, smooth = self.held, self.smooth
+        if self.slope or self.chirps or len(smooth) > 2:
+            return self.value
+        if not smooth:
+            return lambda t: held
+        (a, w, p), *more = smooth
+        if not more:
+            return lambda t: held + a * sin(w * t + p)
+        ((b, v, q),) = more
+        return lambda t: held + a * sin(w * t + p) + b * sin(v * t + q)
 
     def derivative(self, t: float) -> float:
         """Derivative of this piece at `t`, 1/s times the unit of the value."""

@@ -43,6 +43,11 @@ FAILURES = (
 CHUNK = 16
 """Most runs per task: a task costs about a millisecond, and a dead worker's chunk is done again."""
 
+INDEX_GROWTH = 4
+"""The index is written anew whenever there are so many times the runs: a row is read 1.3 times.
+
+Workers wait meanwhile. Who needs the newest rows reads them one by one, as `ls` does."""
+
 
 @dataclass(frozen=True)
 class Tally:
@@ -55,7 +60,7 @@ class Tally:
     failed : int
         Those done by this call that did not reach their stop time.
     memory : int
-        Bytes: the largest that each worker heard of had between its tasks, added up.
+        Bytes: the largest that each present worker had between its tasks, added up.
     """
 
     done: int
@@ -184,7 +189,11 @@ class _Counts:
         self._memory: dict[str, int] = {}
         self._progress = progress
         self._plan = plan
-        self._index_at = max(2 * self._tally.done, CHUNK)
+        self._index_at = max(INDEX_GROWTH * self._tally.done, CHUNK)
+
+    def new_crew(self) -> None:
+        """The workers heard of so far have ended."""
+        self._memory.clear()
 
     def add(self, done: Done) -> None:
         """Count what a worker has done."""
@@ -203,9 +212,8 @@ class _Counts:
         if self._progress is not None:
             self._progress(self._tally)
         if self._index_at <= self._tally.done < self._tally.total:
-            # Whenever their number has doubled: readers see it grow, and each row is read twice.
             _index(self._plan)
-            self._index_at = 2 * self._tally.done
+            self._index_at = INDEX_GROWTH * self._tally.done
 
 
 def _together(
@@ -217,6 +225,7 @@ def _together(
     """
     lost: list[Task] = []
     with workers.open() as crew:
+        counts.new_crew()
         budget = min(len(waiting), crew.runs or len(waiting))
         chunks = _chunks(waiting, budget, max(1, min(CHUNK, budget // (4 * crew.size))))
         running: dict[Future[Done], list[Task]] = {}
@@ -268,6 +277,7 @@ def _one_by_one(shared: Work, tasks: Sequence[Task], workers: Workers, counts: _
     remaining = deque(tasks)
     while remaining:
         with workers.alone() as crew:
+            counts.new_crew()
             while remaining:
                 task = remaining.popleft()
                 try:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from congelation.cosim.description import describe
@@ -61,8 +61,7 @@ def execute(
     metrics = {spec.name: _measure(spec, run.case, result) for spec in scenario.metrics}
     steps, wall_time = result.statistics.macro_steps, result.statistics.wall_time
     row = _row(run, result.status.name, result.message, metrics, steps, wall_time)
-    units = {column: _unit(run, column) for column in result.columns}
-    return row, Trajectory(result.time, result.columns, result.values, units)
+    return row, Trajectory(result.time, result.columns, result.values, _units(run, result.columns))
 
 
 def lost_row(run: Run, scenario: Scenario, status: str, message: str) -> dict[str, Any]:
@@ -104,7 +103,10 @@ def _measure(spec: MetricSpec, case: Case, result: Result) -> float | None:
     return found.evaluate(result.time, values.reshape(len(values), -1), **spec.options)
 
 
-def _unit(run: Run, column: str) -> str:
-    name, _, variable = column.partition(".")
-    component = next(c for c in run.case.system.components if c.name == name)
-    return describe(component.fmu).variables[variable].unit
+def _units(run: Run, columns: Sequence[str]) -> dict[str, str]:
+    descriptions = {c.name: describe(c.fmu) for c in run.case.system.components}
+    parts = {column: column.partition(".") for column in columns}
+    return {
+        column: descriptions[name].variables[variable].unit
+        for column, (name, _, variable) in parts.items()
+    }

@@ -1,8 +1,9 @@
 """Numbers that sum up a recorded trajectory: v(t) in, one number out.
 
 A metric is a function of the time (N,) and of the values (N, M) of a group of variables; |v|
-below is the Euclidean norm over the group. Sampled signals are taken as linear between their
-rows, so integrals are trapezoidal sums and crossings are interpolated.
+below is the Euclidean norm over the group. What is integrated follows a monotone piecewise cubic
+between the rows (Fritsch and Butland 1984), which is accurate where steps are long and does not
+overshoot where signals jump; crossings are interpolated linearly; extrema are those of the rows.
 
 Further metrics come from installed packages: an entry point of the group ``congelation.metrics``
 names a `Metric`.
@@ -10,6 +11,8 @@ names a `Metric`.
 References
 ----------
 C. A. Desoer and M. Vidyasagar, Feedback Systems: Input-Output Properties, Academic Press 1975.
+F. N. Fritsch and J. Butland, A method for constructing local monotone piecewise cubic
+interpolants, SIAM J. Sci. Stat. Comput. 5, 1984.
 D. Graham and R. C. Lathrop, The synthesis of "optimum" transient response: criteria and standard
 forms, Trans. AIEE 72(II), 1953.
 K. J. Åström and R. M. Murray, Feedback Systems, Princeton University Press 2008.
@@ -116,19 +119,28 @@ def settling_time(time: Array, values: Array, *, below: float) -> float:
     return float(crossing - time[0])
 
 
+def _integral(time: Array, integrand: Array) -> float:
+    if not np.isfinite(integrand).all():
+        return math.inf
+    # Here, as it takes a quarter of a second, which the parent of a sweep need not wait.
+    from scipy.interpolate import PchipInterpolator
+
+    return float(PchipInterpolator(time, integrand).integrate(time[0], time[-1]))
+
+
 def integral_of_square(time: Array, values: Array) -> float:
     """Integral of |v|^2 dt, the square of the L_2 norm."""
-    return float(np.trapezoid(norm(values) ** 2, time))
+    return _integral(time, norm(values) ** 2)
 
 
 def integral_of_absolute(time: Array, values: Array) -> float:
     """Integral of |v| dt, the L_1 norm."""
-    return float(np.trapezoid(norm(values), time))
+    return _integral(time, norm(values))
 
 
 def integral_of_time_absolute(time: Array, values: Array) -> float:
     """Integral of t |v| dt, t counted from the start."""
-    return float(np.trapezoid((time - time[0]) * norm(values), time))
+    return _integral(time, (time - time[0]) * norm(values))
 
 
 def overshoot(time: Array, values: Array, *, reference: float = 0.0) -> float:

@@ -30,7 +30,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import ndtri
 
 from congelation.study.constraint import Constraint
 from congelation.study.start_values import Scalar
@@ -68,6 +67,12 @@ class Distribution:
     inverse: Callable[[float, float, float], Scalar]
 
 
+def _normal_quantile(u: float, mean: float, deviation: float) -> float:
+    from scipy.special import ndtri  # here, as workers never draw, and start sooner without it
+
+    return mean + deviation * float(ndtri(u))
+
+
 DISTRIBUTIONS: Mapping[str, Distribution] = {
     "uniform": Distribution(
         "[low, high] with low < high",
@@ -82,7 +87,7 @@ DISTRIBUTIONS: Mapping[str, Distribution] = {
     "normal": Distribution(
         "[mean, standard deviation] with a positive deviation",
         lambda a, b: b > 0.0,
-        lambda u, a, b: a + b * float(ndtri(u)),
+        _normal_quantile,
     ),
     "integers": Distribution(
         "[first, last], whole numbers with first < last",

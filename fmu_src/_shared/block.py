@@ -21,6 +21,8 @@ TIME_ROUNDING = 1e-9
 # First internal step tried, in seconds; the step control takes it from there.
 FIRST_STEP = 1e-3
 
+_OUTPUTS = frozenset(interface.OUTPUTS)
+_DERIVATIVES = frozenset(interface.DERIVATIVES)
 INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED = range(4)
 _WHEN = (
     "before fmi2EnterInitializationMode",
@@ -77,17 +79,18 @@ class Block(VariableTable):
     def _evaluate(self, reference):
         self._settle()
         bound, computed = self._bound, self._computed
-        values, slopes = self._inputs_now()
         try:
-            theta = self._theta_now()
-            if reference in interface.DERIVATIVES:
-                group = interface.DERIVATIVES
-                numbers = bound.derivatives(self._x, values, slopes, *theta)
-            else:
+            if reference in _OUTPUTS:
                 group = interface.OUTPUTS
-                numbers = bound.outputs(self._x, values, *theta)
+                numbers = bound.outputs(self._x, self._values_now(), *self._theta_now())
+            elif reference in _DERIVATIVES:
+                group = interface.DERIVATIVES
+                slopes = self._slopes_now()
+                numbers = bound.derivatives(self._x, self._values_now(), slopes, *self._theta_now())
+            else:
                 computed.update(zip(interface.GAINS, bound.gains))
-                computed.update(self._further_outputs(*theta))
+                computed.update(self._further_outputs())
+                return
             computed.update(zip(group, numbers))
         except (ArithmeticError, ValueError) as error:
             self._report(f"the outputs cannot be evaluated: {error}", Fmi2Status.error)
@@ -105,7 +108,7 @@ class Block(VariableTable):
                 Fmi2Status.error,
             )
 
-    def _further_outputs(self, *theta):
+    def _further_outputs(self):
         """Outputs besides those of the equations, as {value reference: value}."""
         return {}
 
@@ -113,21 +116,26 @@ class Block(VariableTable):
         """theta(t) as the equations take it, where there is one."""
         return ()
 
-    def _inputs_now(self):
-        """Values and slopes of the inputs, s seconds after the communication point."""
+    def _values_now(self):
+        """Values of the inputs, s seconds after the communication point."""
         s = self._s
         if s == 0.0:
-            n, v = interface.PROPER_INPUTS, self._inputs
-            return v[:n], v[n : 2 * n]
-        cubics = self._cubics()
-        values = [a + s * (b + s * (c + s * d)) for a, b, c, d in cubics]
-        slopes = [b + s * (2.0 * c + s * 3.0 * d) for _, b, c, d in cubics]
-        return values, slopes
+            return self._inputs[: interface.PROPER_INPUTS]
+        return [a + s * (b + s * (c + s * d)) for a, b, c, d in self._cubics()]
+
+    def _slopes_now(self):
+        """Their slopes then."""
+        s = self._s
+        return [b + s * (2.0 * c + s * 3.0 * d) for _, b, c, d in self._cubics()]
 
     def _cubics(self):
         """Coefficients of each input over the step: v, der(v), der(v,2)/2, der(v,3)/6."""
-        n, v = interface.PROPER_INPUTS, self._inputs
-        return [(v[i], v[n + i], v[2 * n + i] / 2.0, v[3 * n + i] / 6.0) for i in range(n)]
+        if self._coefficients is None:
+            n, v = interface.PROPER_INPUTS, self._inputs
+            self._coefficients = [
+                (v[i], v[n + i], v[2 * n + i] / 2.0, v[3 * n + i] / 6.0) for i in range(n)
+            ]
+        return self._coefficients
 
     # -- state machine -----------------------------------------------------------------------
 
@@ -215,13 +223,9 @@ class Block(VariableTable):
 
     def _integrate(self, t, start, end, x, h, theta):
         bound, v = self._bound, self._cubics()
-        rates = bound.rates
-
-        def rates_at(s, x):
-            values = [a + s * (b + s * (c + s * d)) for a, b, c, d in v]
-            return rates(x, values) if theta is None else rates(x, values, theta(t + s))
-
-        return integrate(bound.step, rates_at, t, start, end, x, v, theta, h, self._tolerance)
+        values = [a + start * (b + start * (c + start * d)) for a, b, c, d in v]
+        k = bound.rates(x, values) if theta is None else bound.rates(x, values, theta(t + start))
+        return integrate(bound.step, k, t, start, end, x, v, theta, h, self._tolerance)
 
     # -- complete state ----------------------------------------------------------------------
 
@@ -247,6 +251,7 @@ class Block(VariableTable):
         (self._mode, self._time, self._stop_time, self._tolerance, self._h, self._s) = scalars
         self._x = x
         self._inputs[:] = inputs
+        self._coefficients = None
         self._faults = dict(faults)
         self._computed.clear()
 

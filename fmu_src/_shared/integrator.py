@@ -23,13 +23,15 @@ class StepFailure(ArithmeticError):
     """The states cannot be integrated over the step; the text says why and what to do."""
 
 
-def integrate(step, rates_at, t, start, end, x, v, theta, h, tolerance):
+def integrate(step, k, t, start, end, x, v, theta, h, tolerance):
     """Integrate the states from s = start to s = end, s being the time since t.
 
     Parameters
     ----------
-    step, rates_at : callable
-        One Runge-Kutta step, and the rates at (s, x), both of the FMU's generated equations.
+    step : callable
+        One Runge-Kutta step, of the FMU's generated equations.
+    k : tuple of float
+        Rates at start.
     t, start, end : float
         Communication point, and the part of the macro step to integrate over.
     x : tuple of float
@@ -57,7 +59,6 @@ def integrate(step, rates_at, t, start, end, x, v, theta, h, tolerance):
     """
     absolute = 1e-3 * tolerance
     s = start
-    k = rates_at(s, x)
     for _ in range(MOST_STEPS):
         last = s + h >= end
         tried = end - s if last else h

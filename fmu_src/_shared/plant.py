@@ -22,44 +22,51 @@ class Plant(Block):
             except ProfileError as error:
                 raise ParameterError(f"{name}: {error}") from error
         self._profiles = tuple(profiles)
-        self._pieces = tuple(profile.segment(self._time) for profile in profiles)
+        # theta on the piece last asked for: from, until, and the function.
+        self._smooth = (0.0, 0.0, None)
         return bound
 
-    def _pieces_at(self, t):
-        """The smooth pieces of all profiles that hold from t on, and where the first one ends."""
-        pieces = self._pieces
-        if not all([piece.start <= t < piece.end for piece in pieces]):
-            pieces = self._pieces = tuple(
-                piece if piece.start <= t < piece.end else profile.segment(t)
-                for piece, profile in zip(pieces, self._profiles)
-            )
-        return pieces, min([piece.end for piece in pieces])
-
-    def _offsets(self):
-        return [self._inputs[slot] for slot in interface.DTHETA_SLOTS]
-
-    def _theta_of(self, pieces):
-        """theta as a function of time while the pieces hold."""
-        terms = [(piece.value, offset) for piece, offset in zip(pieces, self._offsets())]
-        return lambda t: [value(t) + offset for value, offset in terms]
+    def _theta_at(self, t):
+        """theta as a function of time from t on, and the next time at which it jumps."""
+        start, end, theta = self._smooth
+        if not start <= t < end:
+            pieces = [profile.segment(t) for profile in self._profiles]
+            start = max([piece.start for piece in pieces])
+            end = min([piece.end for piece in pieces])
+            theta = _joined([piece.formula() for piece in pieces], self._inputs)
+            self._smooth = start, end, theta
+        return theta, end
 
     def _theta_now(self):
-        pieces, _ = self._pieces_at(self._time)
-        return (self._theta_of(pieces)(self._time),)
+        theta, _ = self._theta_at(self._time)
+        return (theta(self._time),)
 
-    def _further_outputs(self, theta):
-        outputs = dict(zip(interface.THETA, theta))
-        outputs[interface.NEXT_EVENT] = self._pieces_at(self._time)[1]
+    def _further_outputs(self):
+        theta, event = self._theta_at(self._time)
+        outputs = dict(zip(interface.THETA, theta(self._time)))
+        outputs[interface.NEXT_EVENT] = event
         return outputs
 
     def _advance(self, t, h):
         x, inner, start, now = self._x, self._h, 0.0, t
         while True:
-            pieces, event = self._pieces_at(now)
-            theta = self._theta_of(pieces)
+            theta, event = self._theta_at(now)
             # A jump at the very end of the step belongs to the next one.
             if event - t >= h:
                 return self._integrate(t, start, h, x, inner, theta)
             x, inner = self._integrate(t, start, event - t, x, inner, theta)
             # The time of the jump itself, not t + (event - t), which may round to before it.
             start, now = event - t, event
+
+
+def _joined(formulas, inputs):
+    """theta as a function of time: the formulas plus the inputs dtheta, which are held."""
+    slots = interface.DTHETA_SLOTS
+    if len(formulas) == 1:
+        (f,), (i,) = formulas, slots
+        return lambda t: (f(t) + inputs[i],)
+    if len(formulas) == 2:
+        (f, g), (i, j) = formulas, slots
+        return lambda t: (f(t) + inputs[i], g(t) + inputs[j])
+    terms = tuple(zip(formulas, slots))
+    return lambda t: [f(t) + inputs[i] for f, i in terms]

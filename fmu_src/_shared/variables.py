@@ -55,6 +55,8 @@ class VariableTable(Fmi2Slave):
         # Time since the last communication point at which the inputs hold: 0 once they are set,
         # the length of the step right after it.
         self._s = 0.0
+        # The inputs over a step as cubics; None while inputs were set since.
+        self._coefficients = None
         self._computed = _Computed(self._missing)
         self._faults = {}
 
@@ -130,6 +132,7 @@ class VariableTable(Fmi2Slave):
                 if self._faults:
                     self._faults.pop(vr, None)
         self._computed.clear()
+        self._coefficients = None
         self._s = 0.0
 
     def set_integer(self, vrs, values):

@@ -25,17 +25,31 @@ def test_quick_run_writes_every_table(capsys: pytest.CaptureFixture[str]) -> Non
         "### Time to accuracy, Fig. 2, Controller 1",
         "### Against no FMUs at all",
         "### Small measurements",
+        "### A sweep on two workers",
+        "### Outside the stepping loop",
+        "### Many short runs",
+        "### Against fresh FMPy instances",
     ]
     assert "Not run" not in text
     assert command.PAGE.read_bytes() == before
 
 
 def test_page_is_replaced_between_its_markers_only() -> None:
-    page = f"head\n{command.BEGIN}\nold\n{command.END}\ntail\n"
+    part = command.Part("one", lambda _: [])
+    page = "head\n<!-- begin one -->\nold\n<!-- end one -->\ntail\n"
 
-    assert command.replaced(page, "new") == (
-        f"head\n{command.BEGIN}\n\nnew\n\n{command.END}\ntail\n"
+    assert part.replaced(page, "new") == (
+        "head\n<!-- begin one -->\n\nnew\n\n<!-- end one -->\ntail\n"
     )
+    with pytest.raises(ValueError, match="has no markers <!-- begin one -->"):
+        part.replaced("head", "new")
+
+
+def test_page_has_the_markers_of_every_part() -> None:
+    page = command.PAGE.read_text("utf-8")
+
+    for part in (command.ENGINE_PART, command.SWEEP_PART, command.LONG_PART):
+        assert part.replaced(page, "new") != page
 
 
 @pytest.mark.parametrize("engine", ["fmpy_loop", "fmpy_ssp", "libcosim", "ecos", "cofmupy"])

@@ -84,6 +84,26 @@ def test_orders_on_a_smooth_profile(pool, coupling, steps, expected):
         assert order(steps, errors) < expected + 0.4
 
 
+@pytest.mark.parametrize(("name", "share"), [("fig2", 0.9), ("fig3", 0.75)])
+def test_a_chosen_order_takes_fewer_steps_than_order_four(pool, name, share):
+    """Though order 6 alone would be unstable at the steps that Fig. 2 allows in the end."""
+    case = shipped(name, 0)
+    steps = {}
+    for wanted in (None, 4):
+        result = simulate(
+            case.system,
+            stop_time=case.experiment.stop_time,
+            tolerance=1e-7,
+            coupling="hermite",
+            options={} if wanted is None else {"order": wanted},
+            record=RECORD,
+            pool=pool,
+        )
+        assert relative_error(case, result) < 1e-6
+        steps[wanted] = result.statistics.macro_steps
+    assert steps[None] < share * steps[4]
+
+
 @pytest.mark.parametrize("name", ["fig2", "fig3", "fig3_r11"])
 @pytest.mark.parametrize("variant", [0, 1])
 def test_a_tolerance_of_1e_6_holds_over_the_whole_horizon_with_the_jumps_in(pool, name, variant):
@@ -119,8 +139,8 @@ def test_rejected_steps_leave_no_trace(pool, monkeypatch):
                 return forced_error
         return error
 
-    def same_again(self, error, length):
-        return self if error == forced_error else refused(self, error, length)
+    def same_again(self, error, length, order):
+        return self if error == forced_error else refused(self, error, length, order)
 
     monkeypatch.setattr(adaptive, "_tried", sometimes_refused)
     monkeypatch.setattr(StepSize, "refused", same_again)

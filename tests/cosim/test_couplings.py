@@ -29,11 +29,21 @@ def error(system, solution_of=solution, **kwargs):
         ("hermite", {"sweeps": 2}, (0.2, 0.1, 0.05), 4.0),
         ("hermite", {"sweeps": 3}, (0.2, 0.1, 0.05), 4.0),
         ("hermite", {}, (0.2, 0.1, 0.05), 4.0),
+        ("hermite", {"order": 4}, (0.2, 0.1, 0.05), 4.0),
     ],
 )
 def test_the_error_falls_with_the_order(loop, coupling, options, steps, expected):
     errors = [error(loop(), coupling=coupling, options=options, step=h)[0] for h in steps]
     assert order(steps, errors) == pytest.approx(expected, abs=0.25)
+
+
+def test_of_order_six_the_first_step_leaves_order_five(loop):
+    steps = (0.2, 0.1, 0.05)
+    options = {"order": 6}
+    errors = [error(loop(), coupling="hermite", options=options, step=h)[0] for h in steps]
+    lower = [error(loop(), coupling="hermite", step=h)[0] for h in steps]
+    assert order(steps, errors) == pytest.approx(5.0, abs=0.35)
+    assert errors[-1] < lower[-1] / 3.0
 
 
 @pytest.mark.parametrize(
@@ -142,7 +152,7 @@ def test_a_rejected_step_leaves_no_trace(loop, coupling, monkeypatch):
         return error
 
     monkeypatch.setattr(adaptive, "_tried", sometimes_refused)
-    monkeypatch.setattr(StepSize, "refused", lambda self, error, length: self)
+    monkeypatch.setattr(StepSize, "refused", lambda self, error, length, order: self)
     forced = simulate(loop({"a": 1.0}), **kwargs)
     assert forced.statistics.rejected == count["forced"] > 3
     assert np.array_equal(forced.time, plain.time)
@@ -178,9 +188,9 @@ def test_a_jump_that_nobody_announces_is_a_status(fmus):
 
 
 def test_an_error_that_never_falls_names_the_connection(loop, monkeypatch):
-    from congelation.cosim.coupling.predictor import Predictor
+    from congelation.cosim.coupling.interpolant import Interpolant
 
-    monkeypatch.setattr(Predictor, "defect", lambda self: 1.0)
+    monkeypatch.setattr(Interpolant, "error", lambda self: 1.0)
     result = simulate(loop(), stop_time=1.0, tolerance=1e-4, coupling="hermite")
     assert result.status is Status.STEP_TOO_SMALL
     assert " -> " in result.message

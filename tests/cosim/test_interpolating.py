@@ -120,6 +120,14 @@ def test_a_mixed_ring_is_of_order_two_where_an_input_can_only_be_held(able, unab
     assert order(steps, found) == pytest.approx(2.0, abs=0.3)
 
 
+def test_order_six_names_the_connection_that_cannot(able, unable):
+    system = ring(able, unable)
+    with pytest.raises(InvalidInput, match=r"order 6 needs .* a\.y -> b\.u"):
+        simulate(system, stop_time=1.0, step=0.1, coupling="hermite", options={"order": 6})
+    (error,) = errors(ring(able, able), "hermite", (0.05,), options={"order": 6})
+    assert error < errors(ring(able, able), "hermite", (0.05,))[0]
+
+
 def test_a_ring_of_two_kinds_follows_a_tolerance(able, fmus):
     """A C FMU with FMI functions, and a Python one with der(.) variables, in one loop."""
     system = System(

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from congelation.cosim.broyden import Broyden
 from congelation.cosim.coupling.history import History, differentiation
-from congelation.cosim.coupling.polynomial import extrapolation, hermite
+from congelation.cosim.coupling.polynomial import hermite, interpolation, matched
 from congelation.cosim.graph import strong_components
 from congelation.cosim.step_size import StepSize
 
@@ -33,6 +33,50 @@ def test_a_cubic_is_found_from_its_ends(c, h):
     )
 
 
+@given(
+    st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6),
+    st.floats(1e-2, 10.0),
+    st.floats(0.06, 20.0),
+)
+def test_the_matched_cubic_acts_like_the_quintic(c, h, ratio):
+    """Same end, same derivative there, same integral and first moment: all by polynomials."""
+    P = np.polynomial.Polynomial
+    # In sigma = s / h, so that sizes are comparable.
+    quintic = P(c)
+    slope = quintic.deriv()
+    data = [quintic(0), slope(0) / h, quintic(1), slope(1) / h, quintic(-ratio), slope(-ratio) / h]
+    taylor = matched(h, ratio * h) @ data
+    cubic = P(taylor * [1.0, h, h**2 / 2.0, h**3 / 6.0])
+    # The data far back are large, and weigh little.
+    scale = 1e-10 * (1.0 + np.abs(c) @ (1.0 + ratio) ** np.arange(6))
+    assert cubic(1) == pytest.approx(quintic(1), abs=scale)
+    assert cubic.deriv()(1) == pytest.approx(slope(1), abs=scale)
+    for weight in (P([1.0]), P([0.0, 1.0])):
+        moment = ((cubic - quintic) * weight).integ()
+        assert moment(1) - moment(0) == pytest.approx(0.0, abs=scale)
+
+
+@pytest.mark.parametrize("rate", [0.1, 1.0, 10.0, 100.0, 1000.0])
+@pytest.mark.parametrize("h", [0.5, 0.2])
+def test_the_matched_cubic_moves_slow_and_fast_slaves_better_than_the_hermite_cubic(h, rate):
+    """x' = rate (u - x), u a sine: what the error of the input does to x after a step."""
+    start = 0.3
+    u, slope = np.sin, np.cos
+    near = [u(start), slope(start), u(start + h), slope(start + h)]
+    before = [u(start - h), slope(start - h)]
+    s, weight = np.polynomial.legendre.leggauss(200)
+    s = (s + 1.0) * h / 2.0
+    kernel = weight * h / 2.0 * rate * np.exp(-rate * (h - s))
+    powers = np.array([np.ones_like(s), s, s**2 / 2.0, s**3 / 6.0])
+    errors = [
+        abs(kernel @ (C @ powers - u(start + s)))
+        for C in (hermite(h) @ near, matched(h, h) @ [*near, *before])
+    ]
+    assert errors[1] < errors[0] / 2.0
+    if rate * h < 1.0:
+        assert errors[1] < errors[0] / 60.0
+
+
 @given(st.integers(1, 4), st.integers(0, 10**6), st.floats(0.1, 1.5))
 def test_a_polynomial_is_extrapolated_from_values_and_derivatives(count, seed, ahead):
     """n nodes carry degree 2 n - 1, here against polynomials of that degree with known roots."""
@@ -40,14 +84,14 @@ def test_a_polynomial_is_extrapolated_from_values_and_derivatives(count, seed, a
     polynomial = np.polynomial.Polynomial(generator.normal(size=2 * count))
     nodes = -np.arange(count)[::-1] - 0.3 * generator.random(count)
     data = np.concatenate([polynomial(nodes), polynomial.deriv()(nodes)])
-    value, slope = extrapolation(nodes.tolist(), ahead) @ data
-    scale = 1e-10 * np.abs(extrapolation(nodes.tolist(), ahead)).max() * np.abs(data).max()
+    value, slope = interpolation(nodes.tolist(), ahead) @ data
+    scale = 1e-10 * np.abs(interpolation(nodes.tolist(), ahead)).max() * np.abs(data).max()
     assert value == pytest.approx(polynomial(ahead), abs=scale)
     assert slope == pytest.approx(polynomial.deriv()(ahead), abs=scale)
 
 
 def test_one_node_extrapolates_along_its_derivative():
-    assert extrapolation([0.0], 0.25).tolist() == [[1.0, 0.25], [0.0, 1.0]]
+    assert interpolation([0.0], 0.25).tolist() == [[1.0, 0.25], [0.0, 1.0]]
 
 
 @given(coefficients, st.floats(-1.0, 1.0))
@@ -134,24 +178,24 @@ def test_strong_components_against_reachability(edges):
 
 def test_the_step_settles_where_the_error_meets_the_tolerance():
     """error = (h / 0.02)^4: the controller ends a little below h = 0.02, without a rejection."""
-    size = StepSize(0.001, 4)
+    size = StepSize(0.001)
     for _ in range(60):
         error = (size.length / 0.02) ** 4
         assert error <= 1.0
-        size = size.accepted(error, size.length)
+        size = size.accepted(error, size.length, 4)
     assert 0.013 < size.length < 0.02
 
 
 @given(st.floats(0.0, 1.0))
 def test_the_step_does_not_grow_right_after_a_rejection(error):
-    size = StepSize(1.0, 4).refused(16.0, 1.0)
+    size = StepSize(1.0).refused(16.0, 1.0, 4)
     assert size.length == pytest.approx(0.45)
-    after = size.accepted(error, size.length)
+    after = size.accepted(error, size.length, 4)
     assert after.length <= size.length
     assert not after.rejected
 
 
 @given(st.floats(1.0, 1e9))
 def test_a_refused_step_shrinks_within_bounds(error):
-    assert 0.2 <= StepSize(1.0, 4).refused(error, 1.0).length <= 0.9
-    assert StepSize(1.0, 4).refused(math.inf, 1.0).length == 0.2
+    assert 0.2 <= StepSize(1.0).refused(error, 1.0, 4).length <= 0.9
+    assert StepSize(1.0).refused(math.inf, 1.0, 4).length == 0.2

@@ -59,6 +59,21 @@ def test_dense_output_is_of_the_order_of_the_coupling(loop):
         assert order(steps, column) > 3.3
 
 
+def test_dense_output_keeps_to_the_tolerance(loop):
+    """At order 6 a step is so long that its cubic is a hundred times as far off."""
+    errors = {}
+    for output in (None, Output(interval=0.007)):
+        kwargs = {} if output is None else {"output": output}
+        result = simulate(
+            loop(), stop_time=3.0, record=RECORD, tolerance=1e-7, coupling="hermite", **kwargs
+        )
+        errors[output] = np.abs(result.values - solution(result.time)).max(axis=0)
+    at_steps, between = errors.values()
+    # q has no derivative among the outputs, and cubics of values are all there is for it.
+    assert between[0] < at_steps[0] + 3e-7
+    assert between[1] < at_steps[1] + 3e-7
+
+
 def test_grid_points_that_are_communication_points_are_taken_as_they_are(loop):
     whole = simulate(loop(), stop_time=1.0, step=0.1, coupling="hermite", record=RECORD)
     grid = simulate(

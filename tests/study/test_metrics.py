@@ -39,6 +39,25 @@ def test_exponential_decay(
     assert METRICS[name].evaluate(TIME, values, **options) == pytest.approx(exact, rel=1e-5)
 
 
+def test_integrals_are_accurate_on_the_long_steps_of_a_decay() -> None:
+    """Steps that grow with time, 60 in all; trapezoidal sums are off by 4e-3 there."""
+    time = 20.0 * np.linspace(0.0, 1.0, 61) ** 2
+    values = np.exp(-time)[:, np.newaxis]
+    assert abs(np.trapezoid(values[:, 0] ** 2, time) - 0.5) > 1e-3
+    assert METRICS["ise"].evaluate(time, values) == pytest.approx(0.5, rel=1e-3)
+    assert METRICS["iae"].evaluate(time, values) == pytest.approx(1.0, rel=1e-3)
+
+
+@given(st.lists(st.sampled_from([0.0, 1.0, 5.0]), min_size=2, max_size=20))
+def test_integrals_do_not_overshoot_where_signals_jump(levels: list[float]) -> None:
+    """Between two rows the integrand stays between their values."""
+    time = np.arange(len(levels), dtype=float)
+    size = np.array(levels)
+    least = np.minimum(size[:-1], size[1:]).sum()
+    most = np.maximum(size[:-1], size[1:]).sum()
+    assert least - 1e-9 <= METRICS["iae"].evaluate(time, size[:, np.newaxis]) <= most + 1e-9
+
+
 def test_every_metric_is_tested_and_defined() -> None:
     tested = {"peak", "settling_time", "integral_of_square", "ise", "iae", "itae", "drift"}
     assert set(METRICS) == tested | {"overshoot", "lyapunov", "deviation"}

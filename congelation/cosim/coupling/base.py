@@ -52,7 +52,7 @@ class AdaptiveStepper(Stepper):
     Attributes
     ----------
     order : int
-        The estimate falls with this power of the step.
+        The estimate of the last trial falls with this power of the step.
     """
 
     order: int

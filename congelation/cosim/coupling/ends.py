@@ -14,6 +14,7 @@ from congelation.cosim.outputs import NO_DERIVATIVE
 __all__ = ["Ends"]
 
 Floats = npt.NDArray[np.float64]
+Mask = npt.NDArray[np.bool_]
 
 
 class Ends:
@@ -21,10 +22,15 @@ class Ends:
 
     Attributes
     ----------
+    data : array, shape (6, L)
+        v0, d0 at the start of the step, v1, d1 at its end, as the polynomials use them; then value
+        and derivative at a point before, where one is used.
     w : array, shape (4, L)
-        v0, d0 at the start of the step, v1, d1 at its end, as the polynomials use them.
+        Its first four rows.
     new : array, shape (2, L)
         Value and derivative as last read from the sources.
+    inexact : boolean array, shape (L,)
+        Links whose source provides no derivative.
     start_time, end_time : float
         Of the step turned to.
     """
@@ -34,11 +40,13 @@ class Ends:
         self._Y = ensemble.outputs.Y
         self._places = np.vstack([ensemble.inputs.source, ensemble.inputs.source_derivative])
         self._nominal = ensemble.inputs.nominal
-        self._inexact = np.flatnonzero(ensemble.inputs.source_derivative == NO_DERIVATIVE)
+        self.inexact: Mask = ensemble.inputs.source_derivative == NO_DERIVATIVE
+        self._inexact = np.flatnonzero(self.inexact)
         self._is_exact = not self._inexact.size
         self._history = History(len(self._inexact))
-        self.w: Floats = np.zeros((4, count))
-        self._w0, self._w1 = self.w[:2], self.w[2:]
+        self.data: Floats = np.zeros((6, count))
+        self.w: Floats = self.data[:4]
+        self._w0, self._w1, self._before = self.data[:2], self.data[2:4], self.data[4:]
         self.new: Floats = np.zeros((2, count))
         self.start_time = self.end_time = 0.0
 
@@ -68,6 +76,10 @@ class Ends:
     def set_ends(self, values: Floats) -> None:
         """Let the polynomials end with these values and derivatives, shape (2, L)."""
         self._w1[:] = values
+
+    def set_before(self, values: Floats) -> None:
+        """Let the polynomials take in these values and derivatives, shape (2, L)."""
+        self._before[:] = values
 
     def predict_inexact(self) -> None:
         """Fill in v1, d1 of the links without derivatives ahead of the step."""

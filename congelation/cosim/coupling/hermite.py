@@ -1,4 +1,4 @@
-"""Inputs as cubics through values and derivatives at both ends of the step."""
+"""Inputs as polynomials through values and derivatives at both ends of the step."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ import numpy.typing as npt
 from congelation.cosim.coupling.base import AdaptiveStepper, Coupling
 from congelation.cosim.coupling.ends import Ends
 from congelation.cosim.coupling.feedback import Feedback
-from congelation.cosim.coupling.polynomial import hermite
-from congelation.cosim.coupling.predictor import Predictor
+from congelation.cosim.coupling.interpolant import HIGH, LOW, Interpolant
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.slave import StepDiscarded
 from congelation.cosim.states import Checkpoint
+from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 
 __all__ = ["Hermite"]
@@ -40,17 +40,24 @@ class Hermite(Coupling):
 
     The ends are first extrapolated, then found by sweeps: all slaves step in the declared order,
     the outputs at the end give new polynomials, and the step is repeated from saved states until
-    the outputs change by less than a tolerance. Order 4. For a linear loop it is the
-    two-derivative Obreshkov formula of order 4 (Hairer, Norsett, Wanner, Solving Ordinary
-    Differential Equations I, section III.5), whose stability function is the (2, 2) Pade
-    approximation of the exponential: as long as the sweeps converge, accuracy alone limits the
-    step.
+    the outputs change by less than a tolerance. Order 4. For a linear loop that is the
+    two-derivative Obreshkov formula (Hairer, Norsett, Wanner, Solving Ordinary Differential
+    Equations I, section III.5), whose stability function is the (2, 2) Pade approximation of the
+    exponential: as long as the sweeps converge, accuracy alone limits the step.
+
+    Order 6 takes the point before the step as well: the cubic then has the first two moments of
+    the quintic through all three points, which is what the states at the end of the step come
+    from. It is stable only for steps not much longer than the loop's shortest time constant.
 
     An input that takes a value and one derivative gets the chord, one that takes a value alone the
     cubic's mean. A source without derivatives gets them from its past values.
 
     Parameters
     ----------
+    order : int or None
+        4, 6, or None: 4 where steps are fixed; where they are chosen by a tolerance, whichever
+        allows the longer step. The first step after a jump always has order 4. Order 6 is for
+        inputs that take three derivatives, from sources that provide one.
     sweeps : int or None
         Exactly so many plain sweeps per step; with None, as many as it takes.
     tolerance : float
@@ -63,6 +70,7 @@ class Hermite(Coupling):
         gain times step is beyond 1; "none": plain sweeps.
     """
 
+    order: int | None = None
     sweeps: int | None = None
     tolerance: float = 1e-9
     max_sweeps: int = 12
@@ -75,6 +83,8 @@ class Hermite(Coupling):
         if self.acceleration not in ACCELERATIONS:
             valid = ", ".join(ACCELERATIONS)
             raise InvalidInput(f"acceleration '{self.acceleration}'; valid: {valid}")
+        if self.order not in (None, LOW, HIGH):
+            raise InvalidInput(f"order {self.order}; valid: {LOW}, {HIGH}")
         for name, value in (("sweeps", self.sweeps), ("max_sweeps", self.max_sweeps)):
             if value is not None and value < 1:
                 raise InvalidInput(f"{name} {value}: at least 1 is needed")
@@ -94,17 +104,32 @@ class Hermite(Coupling):
         checkpoint = (
             Checkpoint(ensemble.slaves) if self.rolls_back or tolerance is not None else None
         )
-        return _HermiteStepper(self, ensemble, exchange, accuracy, checkpoint)
+        ends = Ends(ensemble)
+        interpolant = self._interpolant(ensemble, ends, tolerance)
+        return _HermiteStepper(self, ensemble, exchange, ends, interpolant, accuracy, checkpoint)
+
+    def _interpolant(self, ensemble: Ensemble, ends: Ends, tolerance: float | None) -> Interpolant:
+        unfit = ends.inexact | (ensemble.inputs.order < MAX_DERIVATIVE)
+        if self.order == HIGH and unfit.any():
+            link = ensemble.inputs.links[int(unfit.argmax())]
+            raise InvalidInput(
+                f"coupling '{self.name}': order {HIGH} needs a derivative of the source and an "
+                f"input that takes three; the connection {link.name} is without"
+            )
+        if self.order is not None:
+            return Interpolant(ends, self.order, None)
+        able = tolerance is not None and not unfit.any()
+        return Interpolant(ends, HIGH if able else LOW, tolerance)
 
 
 class _HermiteStepper(AdaptiveStepper):
-    order = 4
-
     def __init__(
         self,
         coupling: Hermite,
         ensemble: Ensemble,
         exchange: Exchange,
+        ends: Ends,
+        interpolant: Interpolant,
         accuracy: float,
         checkpoint: Checkpoint | None,
     ) -> None:
@@ -114,8 +139,8 @@ class _HermiteStepper(AdaptiveStepper):
         self._accuracy = accuracy
         self._checkpoint = checkpoint
         self._is_saved = False
-        self._ends = Ends(ensemble)
-        self._predictor = Predictor(self._ends)
+        self._ends = ends
+        self._interpolant = interpolant
         self._feedback = Feedback(ensemble, self._ends, coupling.acceleration == "broyden")
         links = ensemble.inputs.links
         self._forward = [
@@ -131,10 +156,11 @@ class _HermiteStepper(AdaptiveStepper):
         self._error = 0.0
         self.sweeps = 0
         self.estimated_error = 0.0
+        self.order = LOW
 
     def start(self, time: float) -> None:
         self._ends.start(time)
-        self._predictor.start(time)
+        self._interpolant.start(time)
         self._is_saved = False
 
     def advance(self, time: float, end: float) -> None:
@@ -152,20 +178,21 @@ class _HermiteStepper(AdaptiveStepper):
             self._is_saved = True
         length = end - time
         self._ends.open(time, end)
-        self._predictor.predict()
+        self._interpolant.open()
         self._feedback.open(length)
-        converged = self._sweeps(time, length, hermite(length))
-        self._error = self._predictor.defect() if converged else math.inf
+        converged = self._sweeps(time, length)
+        self._error = self._interpolant.error() if converged else math.inf
+        self.order = self._interpolant.order
         return self._error
 
-    def _sweeps(self, time: float, length: float, polynomial: Floats) -> bool:
+    def _sweeps(self, time: float, length: float) -> bool:
         """Sweep until the ends that are fed back settle; whether they did."""
         wanted, most = self._coupling.sweeps, self._coupling.max_sweeps
         for count in range(1, (wanted or most) + 1):
             if count > 1 and self._checkpoint is not None:
                 self._checkpoint.restore()
             try:
-                self._sweep(time, length, polynomial)
+                self._sweep(time, length)
             except StepDiscarded:
                 # Not by the step itself, which the first sweep could make, but by where later
                 # sweeps have led.
@@ -185,11 +212,11 @@ class _HermiteStepper(AdaptiveStepper):
                 self._feedback.improve()
         return wanted is not None
 
-    def _sweep(self, time: float, length: float, polynomial: Floats) -> None:
+    def _sweep(self, time: float, length: float) -> None:
         """All slaves once over the step, with the inputs' ends as they are known by now."""
         ensemble, ends = self._ensemble, self._ends
         for m, slave in enumerate(ensemble.slaves):
-            np.dot(polynomial, ends.w, out=ensemble.inputs.C)
+            self._interpolant.coefficients(ensemble.inputs.C)
             if self._is_low:
                 self._lower(length)
             ensemble.inputs.write[m]()
@@ -222,7 +249,7 @@ class _HermiteStepper(AdaptiveStepper):
 
     def accept(self) -> None:
         self._ends.close()
-        self._predictor.close()
+        self._interpolant.close()
         self._is_saved = False
         self.estimated_error = max(self.estimated_error, self._error)
         if self._ensemble.system.discrete_links:
@@ -235,7 +262,7 @@ class _HermiteStepper(AdaptiveStepper):
 
     def worst(self) -> str:
         if math.isfinite(self._error):
-            return self._ensemble.inputs.links[self._predictor.worst].name
+            return self._ensemble.inputs.links[self._interpolant.worst].name
         return self._feedback.worst()
 
     def first_step(self) -> float:

@@ -1,8 +1,8 @@
 """Input polynomials of a macro step, as matrices.
 
 A link's data over [t, t + h] are the values and derivatives of its output at both ends,
-w = (v0, d0, v1, d1). What is needed of them is linear in w, so for all links at once it is a
-matrix of a few entries times an array of shape (4, L).
+w = (v0, d0, v1, d1), and at a point before. What is needed of them is linear in them, so for all
+links at once it is a matrix of a few entries times an array of a few rows and L columns.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["extrapolation", "hermite"]
+__all__ = ["hermite", "interpolation", "matched"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -39,7 +39,51 @@ def hermite(h: float) -> Floats:
     return np.array(entries).reshape(4, 4)
 
 
-def extrapolation(nodes: Sequence[float], at: float) -> Floats:
+def matched(h: float, g: float) -> Floats:
+    """From (v0, d0, v1, d1) and (v, d) at t - g to the coefficients of a cubic that acts like the
+    quintic through all six.
+
+    A slave's states at the end of the step are integrals of its input times something smooth. The
+    cubic has the quintic's integral, its first moment, and its value and derivative at t + h, so
+    it takes the states, and the outputs, to where the quintic would, up to terms of h^7.
+
+    With sigma = s / h and rho = g / h the quintic is the Hermite cubic plus
+    sigma^2 (1 - sigma)^2 (alpha + beta sigma), where alpha and beta come from what the cubic
+    misses at sigma = -rho. Of the polynomials (1 - sigma)^2 (A + B sigma) the one with the same
+    two moments has A = -alpha/15 - 2 beta/35 and B = 2 alpha/3 + 3 beta/7.
+
+    Parameters
+    ----------
+    h, g : float
+        Length of the step, and distance of the point before, in seconds.
+
+    Returns
+    -------
+    array, shape (4, 6)
+        Its product with (v0, d0, v1, d1, v, d) is (u, u', u'', u''') at t.
+    """
+    r = g / h
+    q = 1.0 + r
+    # The Hermite basis and its derivatives (with respect to sigma) at -rho.
+    missed = np.array(
+        [
+            [(2.0 * r - 1.0) * q * q, h * r * q * q, -r * r * (3.0 + 2.0 * r), h * r * r * q],
+            [-6.0 * r * q, -h * q * (1.0 + 3.0 * r), 6.0 * r * q, -h * r * (2.0 + 3.0 * r)],
+        ]
+    )
+    missed = np.hstack([missed, [[1.0, 0.0], [0.0, h]]])
+    # w = sigma^2 (1 - sigma)^2 and w' there: missed = (w, w'; 0, w) (alpha - rho beta, beta).
+    w, slope = (r * q) ** 2, -2.0 * r * q * (1.0 + 2.0 * r)
+    beta = (missed[1] - slope / w * missed[0]) / w
+    alpha = missed[0] / w + r * beta
+    A = -alpha / 15.0 - beta * (2.0 / 35.0)
+    B = alpha * (2.0 / 3.0) + beta * (3.0 / 7.0)
+    M = np.array([A, (B - 2.0 * A) / h, 2.0 * (A - 2.0 * B) / h**2, 6.0 * B / h**3])
+    M[:, :4] += hermite(h)
+    return M
+
+
+def interpolation(nodes: Sequence[float], at: float) -> Floats:
     """Value and derivative at one point of the polynomial with given values and derivatives at
     n nodes, of degree 2 n - 1.
 
@@ -50,6 +94,8 @@ def extrapolation(nodes: Sequence[float], at: float) -> Floats:
     ----------
     nodes : sequence of float
         Distinct.
+    at : float
+        Between the nodes, or beyond them.
 
     Returns
     -------
