@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 STEPPING = "the stepping loop"
 
-RUN = ("congelation.study.workers", "_Worker.do", "everything else")
+RUN = ("congelation.study.workers", "Worker.do", "everything else")
 PHASES = (
     ("congelation.cosim.master", "run_fixed", STEPPING),
     ("congelation.cosim.master", "run_adaptive", STEPPING),

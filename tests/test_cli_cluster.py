@@ -60,8 +60,9 @@ def cluster(tmp_path: Path, processes: list[subprocess.Popen[bytes]]) -> str:
 
     start("scheduler", "--host", "127.0.0.1", "--port", "0")
     until(told.is_file)
+    own = ("--local-directory", str(tmp_path))
     for _ in range(2):
-        start("worker", "--nthreads", "1", "--host", "127.0.0.1")
+        start("worker", "--nthreads", "1", "--host", "127.0.0.1", *own)
     with Client(scheduler_file=str(told), set_as_default=False) as client:
         client.wait_for_workers(2, timeout=60)
         return str(client.scheduler.address)

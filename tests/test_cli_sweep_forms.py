@@ -35,8 +35,8 @@ def test_a_dry_run_measures_a_run_and_writes_nothing(tmp_path: Path) -> None:
     first, second = done.stdout.splitlines()
     assert first == f"24 runs, 24 of them to do in {tmp_path / 'out'}"
     assert second.startswith("about ")
-    assert " kB, judging by 5 pilot runs of " in second  # 24 times a block of 4096 bytes
-    assert "98.3 kB" in second
+    assert " kB, judging by 5 pilot runs of " in second
+    assert "98.3 kB" in second  # 24 blocks of 4096 bytes
     assert not (tmp_path / "out").exists()
 
 

@@ -16,7 +16,8 @@ from congelation.report.html import write_html
 from congelation.report.pareto import draw_front, pareto_front
 from congelation.report.summary import number, summarise_groups
 from congelation.report.table import aligned
-from congelation.study.store import Store, metrics_of, settings_of
+from congelation.study.records import metrics_of, settings_of
+from congelation.study.store import Store
 
 __all__ = ["export", "ls", "report", "show"]
 

@@ -21,6 +21,7 @@ from congelation.study.executors import Cluster, Processes, Workers
 from congelation.study.run import run_scenario
 from congelation.study.scenario import Scenario
 from congelation.study.scenario_file import load_scenario
+from congelation.study.shipping import cargo_of
 from congelation.study.ssp import read_ssp, write_ssp
 from congelation.study.store import Store
 from congelation.study.verify import LARGEST_DEVIATION
@@ -73,9 +74,24 @@ def sweep(
         str | None,
         typer.Option(help="dask scheduler to use instead.", metavar="ADDRESS", show_default=False),
     ] = None,
+    ship: Annotated[
+        bool,
+        typer.Option(
+            "--ship",
+            help="Send FMUs to the workers of the scheduler, and take results from them.",
+        ),
+    ] = False,
     resume: Annotated[
         bool, typer.Option("--resume", help="Do what is missing in the result directory.")
     ] = False,
+    retry: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Resume, and do runs that ended so again (repeatable): timed_out, worker_died, ..",
+            metavar="STATUS",
+            show_default=False,
+        ),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what there is to do and what it takes, and stop.")
     ] = False,
@@ -87,8 +103,11 @@ def sweep(
     folder = out if out is not None else Path("results") / scenario.stem
     if workers is not None and scheduler is not None:
         raise InvalidInput("give --workers or --scheduler, not both")
-    place = Processes(workers or 1) if scheduler is None else Cluster(scheduler)
-    plan = plan_sweep(_read(scenario), folder, resume=resume or dry_run)
+    if ship and scheduler is None:
+        raise InvalidInput("--ship needs a --scheduler to send FMUs to; processes here have them")
+    again = [status.upper().replace("-", "_") for status in retry or ()]
+    plan = plan_sweep(_read(scenario), folder, resume=bool(resume or dry_run or again), retry=again)
+    place = _place(plan, workers or 1, scheduler, ship=ship)
     try:
         _announce(plan, place, folder, measured=dry_run or len(plan.missing) >= MEASURED)
         if dry_run:
@@ -122,6 +141,13 @@ def export_ssp(
 
 def _read(file: Path) -> Scenario:
     return read_ssp(file) if file.suffix == ".ssp" else load_scenario(file)
+
+
+def _place(plan: Plan, workers: int, scheduler: str | None, *, ship: bool) -> Workers:
+    """Where the runs are done."""
+    if scheduler is None:
+        return Processes(workers)
+    return Cluster(scheduler, cargo_of(plan.shared, plan.missing) if ship else None)
 
 
 def _announce(plan: Plan, place: Workers, folder: Path, *, measured: bool) -> None:

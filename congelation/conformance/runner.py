@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -16,7 +17,6 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from signal import SIGKILL
 from tempfile import TemporaryDirectory
 from types import TracebackType
 
@@ -205,7 +205,7 @@ def _spawn(job: Job, limit: float) -> tuple[int | None, str]:
         _, said = process.communicate(json.dumps(asdict(job)), timeout=limit)
     except subprocess.TimeoutExpired:
         # All its processes, since a rule may have started a host of its own.
-        os.killpg(process.pid, SIGKILL)
+        os.killpg(process.pid, signal.SIGKILL)
         process.communicate()
         return None, ""
     return process.returncode, said

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from congelation.errors import InvalidInput, nearest
-from congelation.study.store import Study
+from congelation.study.records import Study
 
 __all__ = [
     "Summary",
@@ -39,14 +39,15 @@ def summarise_groups(study: Study, by: Sequence[str]) -> Summary:
     ----------
     study : Study
     by : sequence of str
-        Columns: `variant`, `status`, or varied settings.
+        Columns: `variant`, `status`, `replicate` where there are any, or varied settings.
 
     Raises
     ------
     InvalidInput
         If there is no such column.
     """
-    known = ["variant", "status", *study.about["varied"]]
+    replicate = [name for name in ("replicate",) if study.rows and name in study.rows[0]]
+    known = ["variant", "status", *replicate, *study.about["varied"]]
     for name in by:
         if name not in known:
             raise InvalidInput(f"'{name}' is no column to group by; {nearest(name, known)}")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,12 +24,21 @@ from congelation.study.plan import plan_run, varied_settings
 from congelation.study.provenance import about
 from congelation.study.scenario import Scenario
 from congelation.study.store import Store
-from congelation.study.workers import Done, Task, Work, work
+from congelation.study.sweep import Sweep
+from congelation.study.workers import REFUSED, TIMED_OUT, Done, Task, Work, work
 
-__all__ = ["WORKER_DIED", "Plan", "Tally", "plan_sweep", "run_sweep"]
+__all__ = ["FAILURES", "WORKER_DIED", "Plan", "Tally", "plan_sweep", "run_sweep"]
 
 WORKER_DIED = "WORKER_DIED"
 """Status of a run that ended its worker process twice."""
+
+FAILURES = (
+    *(status.name for status in Status if status is not Status.COMPLETED),
+    REFUSED,
+    TIMED_OUT,
+    WORKER_DIED,
+)
+"""How a run may end other than at its stop time."""
 
 CHUNK = 16
 """Most runs per task: a task costs about a millisecond, and a dead worker's chunk is done again."""
@@ -51,7 +60,7 @@ class Tally:
     failed : int
         Those done by this call that did not reach their stop time.
     memory : int
-        Bytes: the largest so far of each worker that has not been replaced, added up.
+        Bytes: the largest that each present worker had between its tasks, added up.
     """
 
     done: int
@@ -74,14 +83,30 @@ class Plan:
     missing: tuple[Task, ...]
 
 
-def plan_sweep(scenario: Scenario, folder: Path, *, resume: bool) -> Plan:
+def plan_sweep(
+    scenario: Scenario, folder: Path, *, resume: bool, retry: Collection[str] = ()
+) -> Plan:
     """The runs of a sweep, every variant at every point, each content once.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    folder : Path
+        The result directory.
+    resume : bool
+        Whether the directory may have runs, which are not done again.
+    retry : collection of str
+        Those of `FAILURES` that are done again nevertheless.
 
     Raises
     ------
     InvalidInput
-        If the scenario has no sweep, or the directory has runs and `resume` is false.
+        If the scenario has no sweep, the directory has runs and `resume` is false, or there is no
+        such status.
     """
+    for status in retry:
+        if status not in FAILURES:
+            raise InvalidInput(f"'{status}' is no status to retry; valid: {', '.join(FAILURES)}")
     sweep = scenario.sweep
     if sweep is None:
         raise InvalidInput(f"{scenario.file}: no [sweep]; give its axes, or use: congelation run")
@@ -91,20 +116,35 @@ def plan_sweep(scenario: Scenario, folder: Path, *, resume: bool) -> Plan:
         raise InvalidInput(
             f"{folder} holds {len(done)} finished runs; give --resume to go on, or another --out"
         )
-    first = next(sweep.points(), None)
-    if first is None:
+    if next(sweep.points(), None) is None:
         raise InvalidInput(f"{scenario.file}: sweep.constraints leave no point")
-    varied = varied_settings(scenario, first)
-    tasks: dict[str, Task] = {}
-    for point in sweep.points():
-        for variant in scenario.variants:
-            settings = {**variant.settings, **point}
-            run_id = plan_run(scenario, variant.name, settings, varied).run_id
-            tasks[run_id] = Task(run_id, variant.name, settings)
-    missing = tuple(task for run_id, task in tasks.items() if run_id not in done)
+    varied = varied_settings(scenario, sweep.names())
+    tasks = {task.run_id: task for task in _tasks(scenario, sweep, varied)}
+    missing = (_missing(task, store, done, retry) for task in tasks.values())
     light = replace(scenario, sweep=None, text="")
     shared = Work(light, store, varied, sweep.trajectories, sweep.seed, sweep.timeout)
-    return Plan(scenario, shared, tuple(tasks), missing)
+    return Plan(scenario, shared, tuple(tasks), tuple(task for task in missing if task))
+
+
+def _tasks(scenario: Scenario, sweep: Sweep, varied: Sequence[str]) -> Iterator[Task]:
+    """Every variant at every point, as often as it is repeated."""
+    repetitions = tuple(sweep.repetitions())
+    for point, (replicate, seeds) in itertools.product(sweep.points(), repetitions):
+        for variant in scenario.variants:
+            settings = {**variant.settings, **point, **seeds}
+            run_id = plan_run(scenario, variant.name, settings, varied).run_id
+            yield Task(run_id, variant.name, settings, replicate)
+
+
+def _missing(
+    task: Task, store: Store, done: Collection[str], retry: Collection[str]
+) -> Task | None:
+    """The task, if it is to be done."""
+    if task.run_id not in done:
+        return task
+    if retry and store.row(task.run_id)["status"] in retry:
+        return replace(task, replaces=store.written(task.run_id))
+    return None
 
 
 def run_sweep(
@@ -157,7 +197,7 @@ class _Counts:
 
     def add(self, done: Done) -> None:
         """Count what a worker has done."""
-        self._memory[done.worker] = done.memory
+        self._memory[done.worker] = max(done.memory, self._memory.get(done.worker, 0))
         self.add_statuses(done.statuses)
 
     def add_statuses(self, statuses: Sequence[str]) -> None:
@@ -199,10 +239,10 @@ def _together(
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 chunk = running.pop(future)
                 try:
-                    counts.add(future.result())
+                    counts.add(_received(future, shared))
                 except BrokenExecutor:
                     lost += chunk
-    finished = {task.run_id for task in lost if shared.store.is_finished(task.run_id)}
+    finished = {task.run_id for task in lost if task.is_done(shared.store)}
     counts.add_statuses([shared.store.row(run_id)["status"] for run_id in finished])
     return tuple(task for task in lost if task.run_id not in finished)
 
@@ -214,6 +254,14 @@ def _submit(executor: Executor, shared: Work, chunk: list[Task]) -> Future[Done]
         failed: Future[Done] = Future()
         failed.set_exception(error)
         return failed
+
+
+def _received(future: Future[Done], shared: Work) -> Done:
+    """What a worker has done, stored here if it could not store it itself."""
+    done = future.result()
+    for shipment in done.shipments:
+        shared.store.write(shipment.row, shipment.trajectory)
+    return replace(done, shipments=())
 
 
 def _chunks(waiting: deque[Task], budget: int, size: int) -> Iterator[list[Task]]:
@@ -233,16 +281,16 @@ def _one_by_one(shared: Work, tasks: Sequence[Task], workers: Workers, counts: _
             while remaining:
                 task = remaining.popleft()
                 try:
-                    counts.add(_submit(crew.executor, shared, [task]).result())
+                    counts.add(_received(_submit(crew.executor, shared, [task]), shared))
                 except BrokenExecutor:
-                    if not shared.store.is_finished(task.run_id):
+                    if not task.is_done(shared.store):
                         shared.store.write(_died(shared, task))
                     counts.add_statuses([shared.store.row(task.run_id)["status"]])
                     break
 
 
 def _died(shared: Work, task: Task) -> dict[str, Any]:
-    run = plan_run(shared.scenario, task.variant, task.settings, shared.varied, shared.seed)
+    run = task.run(shared)
     message = "The worker process died twice in this run; an FMU may have crashed it."
     return lost_row(run, shared.scenario, WORKER_DIED, message)
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from congelation.errors import CongelationError
 from congelation.study.batch import Plan
 from congelation.study.executors import Workers
-from congelation.study.workers import Pilot, pilot
+from congelation.study.pilot import Pilot, pilot
 
 __all__ = ["Estimate", "estimate"]
 

@@ -9,10 +9,11 @@ from congelation.cosim.description import describe
 from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.result import Result
+from congelation.study.identity import code_version
 from congelation.study.metrics import metric
 from congelation.study.plan import Run
+from congelation.study.records import Trajectory
 from congelation.study.scenario import Case, MetricSpec, Scenario
-from congelation.study.store import Trajectory, code_version
 
 __all__ = ["execute", "lost_row"]
 
@@ -79,6 +80,7 @@ def _row(
     return {
         "run_id": run.run_id,
         "variant": run.variant,
+        **({} if run.replicate is None else {"replicate": run.replicate}),
         **run.settings,
         "status": status,
         "message": message,

@@ -1,8 +1,8 @@
 """Where a sweep's runs are done: `concurrent.futures.Executor`s, here or on a cluster.
 
 Whatever the executor, a worker that dies shows as a `BrokenExecutor` error of its tasks, and
-functions are called with everything they need: FMUs and store are reached by their paths, which
-have to be the same on every machine.
+functions are called with everything they need. FMUs and store are reached by their paths, which
+have to be the same on every machine, unless they are sent to a cluster as its cargo.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import signal
 import socket
 import threading
+import uuid
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExecutor
@@ -23,6 +24,7 @@ from typing import Any, ParamSpec, TypeVar, final
 from urllib.parse import urlsplit
 
 from congelation.errors import CongelationError, InvalidInput
+from congelation.study.shipping import Cargo, aboard
 from congelation.study.workers import stop_when
 
 __all__ = ["Cluster", "Crew", "Processes", "Workers"]
@@ -100,10 +102,20 @@ class Processes(Workers):
 class Cluster(Workers):
     """The workers of a dask.distributed scheduler.
 
-    On an error, runs that are under way are finished and stored, those that wait are cancelled.
+    On an error, runs that are under way are finished and stored, those that wait are cancelled;
+    with a cargo nobody is left to store them.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler.
+    cargo : Cargo, optional
+        What to send to workers that cannot reach the files of this machine; what they do is then
+        part of their results.
     """
 
     address: str
+    cargo: Cargo | None = None
 
     @contextmanager
     def open(self) -> Iterator[Crew]:
@@ -129,10 +141,19 @@ class Cluster(Workers):
                     f"{self.address} --nthreads 1"
                 ) from error
             size = len(client.scheduler_info(n_workers=-1)["workers"])
-            yield Crew(_ClusterExecutor(client), size, None)
+            yield Crew(self._executor(client), size, None)
 
     def alone(self) -> AbstractContextManager[Crew]:
         return self.open()
+
+    def _executor(self, client: Any) -> _ClusterExecutor:
+        if self.cargo is None:
+            return _ClusterExecutor(client)
+        from congelation.study.parcel import Parcel
+
+        for place, data in self.cargo.contents.items():
+            client.register_plugin(Parcel(place, data))
+        return _ClusterExecutor(client, (aboard, uuid.uuid4().hex, self.cargo.places))
 
 
 def _reach(address: str) -> None:
@@ -151,13 +172,18 @@ def _reach(address: str) -> None:
 
 
 class _ClusterExecutor(Executor):
-    """A dask client that tells of dead workers as processes here do."""
+    """A dask client that tells of dead workers as processes here do.
 
-    def __init__(self, client: Any) -> None:
+    `around` is a function that calls what is submitted, and its other arguments.
+    """
+
+    def __init__(self, client: Any, around: tuple[Any, ...] = ()) -> None:
         self._client = client
+        self._around = around
 
     def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        remote = self._client.submit(fn, *args, **kwargs, pure=False)
+        outer = self._around[:1]
+        remote = self._client.submit(*outer, fn, *self._around[1:], *args, **kwargs, pure=False)
         local: Future[T] = Future()
         local.set_running_or_notify_cancel()
         remote.add_done_callback(partial(_hand_over, local))

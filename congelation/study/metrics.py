@@ -63,6 +63,8 @@ class Metric:
     loop : bool
         True if the metric is of the closed loop as a whole: a scenario gives no `of`, and it is
         ``evaluate(case, time, columns, values)``, the states of the loop among the columns.
+    recorded : bool
+        True if such a metric is of every variable that the experiment records.
     """
 
     name: str
@@ -71,6 +73,7 @@ class Metric:
     unit: Callable[[str], str]
     scalar: bool = False
     loop: bool = False
+    recorded: bool = False
 
     @property
     def options(self) -> dict[str, bool]:
@@ -163,7 +166,7 @@ def lyapunov(case: Case, time: Array, columns: Sequence[str], values: Array) -> 
 
 def deviation(case: Case, time: Array, columns: Sequence[str], values: Array) -> float:
     """The largest distance from the monolithic solution, relative to a variable's peak."""
-    from congelation.study.store import Trajectory  # as above
+    from congelation.study.records import Trajectory  # as above
     from congelation.study.verify import compare, reference
 
     found = compare(reference(case), Trajectory(time, tuple(columns), values, {}))
@@ -255,6 +258,7 @@ _BUILT_IN = (
         " DOP853 (Hairer, Norsett and Wanner 1993): the error of the coupling",
         _ratio,
         loop=True,
+        recorded=True,
     ),
 )
 

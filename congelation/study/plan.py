@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import cast
 
 from congelation.cosim.description import describe
+from congelation.study.identity import code_version, content_hash, file_hash
 from congelation.study.scenario import EXPERIMENT, Case, Scenario
 from congelation.study.start_values import Scalar
-from congelation.study.store import code_version, content_hash, file_hash
 from congelation.study.sweep import Settings
 
 __all__ = ["Run", "plan_run", "plan_runs", "varied_settings"]
@@ -21,7 +21,8 @@ class Run:
     """One simulation to do; equal content has an equal `run_id`.
 
     `settings` has the value of every setting that any run of the plan changes, None for a start
-    value left to the FMU; `seed` is that of the sweep which drew them, None outside of sweeps.
+    value left to the FMU; `seed` is that of the sweep which drew them, None outside of sweeps,
+    and `replicate` the number of the repetition, None without replicates.
     """
 
     run_id: str
@@ -29,6 +30,7 @@ class Run:
     settings: Mapping[str, Scalar | None]
     case: Case
     seed: int | None = None
+    replicate: int | None = None
 
 
 def varied_settings(scenario: Scenario, swept: Iterable[str] = ()) -> tuple[str, ...]:
@@ -50,8 +52,12 @@ def plan_run(
     settings: Settings,
     varied: Sequence[str],
     seed: int | None = None,
+    replicate: int | None = None,
 ) -> Run:
-    """The run of a scenario with some settings; `varied` names those that its row shows."""
+    """The run of a scenario with some settings; `varied` names those that its row shows.
+
+    The seed of the sweep and the number of the replicate are no part of what it consists of.
+    """
     case = scenario.case(settings)
     content = {
         "variant": variant,
@@ -65,7 +71,7 @@ def plan_run(
         "code": code_version(),
     }
     shown = {name: _setting(case, name) for name in varied}
-    return Run(content_hash(content), variant, shown, case, seed)
+    return Run(content_hash(content), variant, shown, case, seed, replicate)
 
 
 def _content(value: object) -> object:

@@ -9,9 +9,9 @@ from importlib.metadata import version
 from typing import Any
 
 from congelation.cosim.description import Description, describe
+from congelation.study.identity import code_version
 from congelation.study.metrics import metric
 from congelation.study.scenario import MetricSpec, Scenario
-from congelation.study.store import code_version
 
 __all__ = ["about"]
 

@@ -143,6 +143,8 @@ class Scenario:
         A scenario without variants has one, named after the file.
     sweep : Sweep, optional
         The points at which each variant is run by a sweep.
+    measured : tuple of str, optional
+        Those of the recorded columns that metrics are of; None where they are of all.
     """
 
     title: str
@@ -154,6 +156,7 @@ class Scenario:
     figures: tuple[FigureSpec, ...] = ()
     variants: tuple[Variant, ...] = ()
     sweep: Sweep | None = None
+    measured: tuple[str, ...] | None = None
 
     def case(self, settings: Mapping[str, Scalar]) -> Case:
         """This scenario with `settings` applied.

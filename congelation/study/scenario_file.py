@@ -43,6 +43,7 @@ _KEYS = (
 _RESERVED = (
     "run_id",
     "variant",
+    "replicate",
     "status",
     "message",
     "macro_steps",
@@ -89,7 +90,7 @@ def read_scenario(file: Path, text: str, document: Section) -> Scenario:
         metrics=tuple(_metric(s, name) for name, s in document.section("metrics").subsections()),
         figures=tuple(_figure(s) for s in document.sections("figures")),
     )
-    scenario = replace(scenario, experiment=_with_record(document, scenario))
+    scenario = _with_record(document, scenario)
     scenario.case({})
     scenario = replace(scenario, variants=_variants(document, scenario))
     if "sweep" not in document.data:
@@ -205,8 +206,8 @@ def _by_owner(section: Section) -> Section:
     return replace(section, data=grouped)
 
 
-def _with_record(document: Section, scenario: Scenario) -> dict[str, object]:
-    """The experiment with the columns to record: what it names, what is measured and drawn.
+def _with_record(document: Section, scenario: Scenario) -> Scenario:
+    """The scenario with the columns to record: what it names, what is measured and drawn.
 
     An experiment that names none records every number among the outputs.
     """
@@ -217,19 +218,26 @@ def _with_record(document: Section, scenario: Scenario) -> dict[str, object]:
     experiment = document.section(EXPERIMENT)
     wanted = experiment.texts("record") or None
     columns = list(experiment.attempt("record", partial(resolved.recorded, wanted)))
+    measured: list[Recorded] = []
     for spec in scenario.metrics:
         section = document.section("metrics").section(spec.name)
         if metric(spec.metric).loop:
             case = replace(scenario, experiment=_recording(experiment, columns)).case({})
             states = section.attempt("metric", partial(_loop_states, case))
-            columns += section.attempt("metric", partial(resolved.recorded, states))
-            continue
-        group = section.attempt("of", partial(resolved.recorded, [spec.of]))
-        section.attempt("of", partial(metric(spec.metric).check_size, len(group)))
+            group = section.attempt("metric", partial(resolved.recorded, states))
+        else:
+            group = section.attempt("of", partial(resolved.recorded, [spec.of]))
+            section.attempt("of", partial(metric(spec.metric).check_size, len(group)))
         columns += group
+        measured += group
     for figure, section in zip(scenario.figures, document.sections("figures"), strict=True):
         columns += section.attempt("panels", partial(resolved.recorded, figure.variables))
-    return _recording(experiment, columns)
+    everything = any(metric(spec.metric).recorded for spec in scenario.metrics)
+    return replace(
+        scenario,
+        experiment=_recording(experiment, columns),
+        measured=None if everything else tuple(dict.fromkeys(c.name for c in measured)),
+    )
 
 
 def _recording(experiment: Section, columns: Iterable[Recorded]) -> dict[str, object]:

@@ -10,43 +10,26 @@ half of one, and a run is finished exactly if its row exists.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-import congelation
 from congelation.errors import CongelationError, InvalidInput, nearest
+from congelation.study.records import Row, Study, Trajectory
 
-__all__ = [
-    "Store",
-    "StoreError",
-    "Study",
-    "Trajectory",
-    "code_version",
-    "content_hash",
-    "file_hash",
-    "metrics_of",
-    "replace_whole",
-    "settings_of",
-]
+__all__ = ["Store", "StoreError", "replace_whole"]
 
 
 class StoreError(CongelationError):
     """A result that cannot be written; the text names the file and the reason."""
 
-
-Row = Mapping[str, object]
 
 _METADATA = b"congelation"
 _BATCH = 256
@@ -54,95 +37,6 @@ _BATCH = 256
 _MANY_ROWS = {"compression": "zstd"}
 _ONE_ROW = {"compression": "none", "use_dictionary": False, "write_statistics": False}
 """Of one row each would take time, and make it no smaller."""
-_ID_LENGTH = 16  # hex digits; 64 bits, so 10^6 runs collide with probability 3e-8
-
-
-def content_hash(content: object) -> str:
-    """Identifier of JSON-representable `content`: equal content, equal identifier."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:_ID_LENGTH]
-
-
-def file_hash(file: Path) -> str:
-    """SHA-256 of a file, in hex."""
-    with file.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
-
-
-@cache
-def code_version() -> str:
-    """Version of congelation and a digest of its sources: ``0.1.0+5f0c9a1d2b3e``."""
-    root = Path(congelation.__file__).parent
-    digest = hashlib.sha256()
-    for source in sorted(root.rglob("*.py")):
-        digest.update(source.relative_to(root).as_posix().encode() + b"\0")
-        digest.update(source.read_bytes() + b"\0")
-    try:
-        number = version("congelation")
-    except PackageNotFoundError:  # used from a source tree that is not installed
-        number = "0"
-    return f"{number}+{digest.hexdigest()[:12]}"
-
-
-def settings_of(row: Row) -> dict[str, object]:
-    """The varied settings of a row: its columns between `variant` and `status`."""
-    return _between(row, "variant", "status")
-
-
-def metrics_of(row: Row) -> dict[str, object]:
-    """The metrics of a row: its columns between `message` and `macro_steps`."""
-    return _between(row, "message", "macro_steps")
-
-
-def _between(row: Row, first: str, last: str) -> dict[str, object]:
-    names = list(row)
-    return {name: row[name] for name in names[names.index(first) + 1 : names.index(last)]}
-
-
-@dataclass(frozen=True)
-class Trajectory:
-    """A recorded run: row k of `values` belongs to ``time[k]``.
-
-    Parameters
-    ----------
-    time : numpy.ndarray
-        Shape (N,), in seconds.
-    columns : tuple of str
-        M names ``component.variable``.
-    values : numpy.ndarray
-        Shape (N, M).
-    units : mapping
-        Unit of each column; a missing or empty one is dimensionless.
-    """
-
-    time: npt.NDArray[np.float64]
-    columns: tuple[str, ...]
-    values: npt.NDArray[np.float64]
-    units: Mapping[str, str]
-
-    def group(self, name: str) -> tuple[str, ...]:
-        """Columns called `name` or ``name[..]``, in order; ``plant.x`` is all of the vector x."""
-        return tuple(c for c in self.columns if c == name or c.startswith(f"{name}["))
-
-    def select(self, columns: Sequence[str]) -> npt.NDArray[np.float64]:
-        """The values of some columns, shape (N, len(columns))."""
-        return self.values[:, [self.columns.index(c) for c in columns]]
-
-
-@dataclass(frozen=True)
-class Study:
-    """What a result directory holds: its rows, and the study they belong to.
-
-    Parameters
-    ----------
-    rows : tuple of mapping
-        One per run; every row has every column, None where it does not apply.
-    about : mapping
-        Title, scenario text, figures, metric definitions and versions, as they were stored.
-    """
-
-    rows: tuple[dict[str, Any], ...]
-    about: Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -176,8 +70,10 @@ class Store:
                 f"results cannot be written to {self.root}: {error.strerror}"
             ) from error
 
-    def write(self, row: Row, trajectory: Trajectory | None = None) -> None:
+    def write(self, row: Row, trajectory: Trajectory | bytes | None = None) -> None:
         """Store a finished run: its trajectory first, if it is kept, then its row.
+
+        They replace those of an earlier attempt. A trajectory may be the bytes of its file.
 
         Raises
         ------
@@ -185,18 +81,24 @@ class Store:
             If a file cannot be written; the run then does not count as finished.
         """
         run_id = str(row["run_id"])
-        if trajectory is not None:
+        if isinstance(trajectory, bytes):
+            content = trajectory
+            replace_whole(self.trajectory_file(run_id), lambda file: file.write_bytes(content))
+        elif trajectory is not None:
             _write_whole(_trajectory_table(trajectory), self.trajectory_file(run_id))
         _write_whole(pa.Table.from_pylist([dict(row)]), self.part_file(run_id), _ONE_ROW)
+        if trajectory is None:
+            _discard(self.trajectory_file(run_id))
 
     def finished(self, known: Container[str] = ()) -> set[str]:
         """The run_ids that have a readable row, those `known` to have one left out."""
         parts = (self.root / "parts").glob("[!.]*.parquet")
         return {part.stem for part in parts if part.stem not in known and _is_readable(part)}
 
-    def is_finished(self, run_id: str) -> bool:
-        """Whether a run has a readable row."""
-        return _is_readable(self.part_file(run_id))
+    def written(self, run_id: str) -> int | None:
+        """When the row of a run was written, in nanoseconds; None without a readable row."""
+        part = self.part_file(run_id)
+        return part.stat().st_mtime_ns if _is_readable(part) else None
 
     def row(self, run_id: str) -> dict[str, Any]:
         """The row of a finished run."""

@@ -9,11 +9,16 @@ side by side (a zip). The sample is drawn in the unit cube and carried to each a
 inverse of its distribution function, so that plain random numbers, Latin hypercubes and Sobol
 sequences work for every distribution. Equal seeds give equal points.
 
+Each point may be repeated with fresh seeds in some settings. They are the same at every point
+(common random numbers), so that what differs between points is not the luck of the draw.
+
 References
 ----------
 M. D. McKay, R. J. Beckman and W. J. Conover, A comparison of three methods for selecting values of
 input variables .., Technometrics 21, 1979 (Latin hypercube).
 A. B. Owen, Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14, 1998.
+P. Glasserman and D. D. Yao, Some guidelines and guarantees for common random numbers, Management
+Science 38, 1992.
 """
 
 from __future__ import annotations
@@ -29,7 +34,15 @@ import numpy.typing as npt
 from congelation.study.constraint import Constraint
 from congelation.study.start_values import Scalar
 
-__all__ = ["DISTRIBUTIONS", "SAMPLINGS", "Distribution", "RandomAxis", "Settings", "Sweep"]
+__all__ = [
+    "DISTRIBUTIONS",
+    "SAMPLINGS",
+    "Distribution",
+    "RandomAxis",
+    "Replicates",
+    "Settings",
+    "Sweep",
+]
 
 Settings = Mapping[str, Scalar]
 Floats = npt.NDArray[np.float64]
@@ -128,6 +141,37 @@ class RandomAxis:
 
 
 @dataclass(frozen=True)
+class Replicates:
+    """Repetitions of every point with fresh seeds.
+
+    Parameters
+    ----------
+    count : int
+    reseeded : tuple of str
+        The settings that get a seed of their own in each repetition.
+    """
+
+    count: int
+    reseeded: tuple[str, ...]
+
+    def seeds(self, seed: int) -> Iterator[dict[str, Scalar]]:
+        """The settings of each repetition: whole numbers of 31 bits, no two of them equal.
+
+        Those of a repetition depend on its number and on `seed` alone, not on `count`.
+        """
+        taken: set[int] = set()
+        for number in range(self.count):
+            for attempt in itertools.count():
+                sequence = np.random.SeedSequence(seed, spawn_key=(number, attempt))
+                words = sequence.generate_state(len(self.reseeded)) >> 1
+                drawn = [int(word) for word in words]
+                if len({*drawn} - taken) == len(drawn):
+                    break
+            taken.update(drawn)
+            yield dict(zip(self.reseeded, drawn, strict=True))
+
+
+@dataclass(frozen=True)
 class Sweep:
     """A design of experiments.
 
@@ -147,6 +191,8 @@ class Sweep:
         Seconds that a run may take.
     constraints : tuple of Constraint
         Points that do not satisfy all of them are left out.
+    replicates : Replicates, optional
+        How each point is repeated.
     """
 
     lists: tuple[tuple[Settings, ...], ...] = ()
@@ -157,11 +203,18 @@ class Sweep:
     trajectories: bool = False
     timeout: float | None = None
     constraints: tuple[Constraint, ...] = ()
+    replicates: Replicates | None = None
 
     @property
     def size(self) -> int:
         """Number of points, before the constraints leave some out."""
         return math.prod(len(entries) for entries in self.lists) * max(self.samples, 1)
+
+    def names(self) -> tuple[str, ...]:
+        """The settings that differ between runs."""
+        lists = (name for entries in self.lists for name in entries[0])
+        reseeded = self.replicates.reseeded if self.replicates is not None else ()
+        return (*lists, *(axis.name for axis in self.axes), *reseeded)
 
     def points(self) -> Iterator[dict[str, Scalar]]:
         """The settings of every point, the sample's varying fastest."""
@@ -170,6 +223,16 @@ class Sweep:
             point = {name: value for settings in combination for name, value in settings.items()}
             if all(constraint.holds(point) for constraint in self.constraints):
                 yield point
+
+    def repetitions(self) -> Iterator[tuple[int | None, Settings]]:
+        """The number, from 1, and the settings of each repetition of a point.
+
+        Without replicates there is one, which has no number.
+        """
+        if self.replicates is None:
+            yield None, {}
+        else:
+            yield from enumerate(self.replicates.seeds(self.seed), start=1)
 
     def _sample(self) -> Iterator[Settings]:
         if not self.axes:

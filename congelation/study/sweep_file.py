@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
 from congelation.errors import nearest
 from congelation.study.constraint import Constraint
+from congelation.study.scenario import EXPERIMENT
 from congelation.study.start_values import Scalar
-from congelation.study.sweep import DISTRIBUTIONS, SAMPLINGS, RandomAxis, Settings, Sweep
+from congelation.study.sweep import (
+    DISTRIBUTIONS,
+    SAMPLINGS,
+    RandomAxis,
+    Replicates,
+    Settings,
+    Sweep,
+)
 from congelation.toml import Section
 
 __all__ = ["read_sweep"]
@@ -17,7 +25,17 @@ __all__ = ["read_sweep"]
 Flatten = Callable[[Section], dict[str, Scalar]]
 """Checks a table of settings against the scenario; one entry per scalar variable."""
 
-_KEYS = ("axes", "constraints", "samples", "sampling", "seed", "timeout", "trajectories")
+_KEYS = (
+    "axes",
+    "constraints",
+    "replicates",
+    "reseed",
+    "samples",
+    "sampling",
+    "seed",
+    "timeout",
+    "trajectories",
+)
 
 
 def read_sweep(section: Section, flatten: Flatten) -> Sweep:
@@ -43,21 +61,51 @@ def read_sweep(section: Section, flatten: Flatten) -> Sweep:
             axes.append(found)
         else:
             lists.append(found)
-    if not taken:
+    if not taken and "replicates" not in section.data:
         raise section.error("axes", "is missing; give at least one [[sweep.axes]]")
     sampling = section.text("sampling", "random")
     if sampling not in SAMPLINGS:
         raise section.wrong("sampling", f"a known sampling; {nearest(sampling, SAMPLINGS)}")
+    seed = section.integer("seed", 0)
+    if seed < 0:
+        raise section.wrong("seed", "a whole number of at least 0")
     return Sweep(
         lists=tuple(lists),
         axes=tuple(axes),
         sampling=sampling,
         samples=_samples(section, bool(axes), sampling),
-        seed=section.integer("seed", 0),
+        seed=seed,
         trajectories=section.boolean("trajectories", False),
         constraints=tuple(_constraints(section, taken)),
         timeout=section.seconds("timeout") if "timeout" in section.data else None,
+        replicates=_replicates(section, taken, flatten),
     )
+
+
+def _replicates(section: Section, taken: Mapping[str, str], flatten: Flatten) -> Replicates | None:
+    """How often points are repeated, and what gets a fresh seed each time."""
+    if "replicates" not in section.data:
+        if "reseed" in section.data:
+            raise section.error("reseed", "has no meaning without replicates")
+        return None
+    count = section.integer("replicates")
+    if count < 1:
+        raise section.wrong("replicates", "a positive whole number")
+    names = section.texts("reseed")
+    if not names:
+        raise section.error("reseed", "is missing; name the settings that replicates differ in")
+    reseeded: dict[str, str] = {}
+    for index, name in enumerate(names, start=1):
+        key = f"reseed[{index}]"
+        place = replace(section, path=section.at(key), data={name: 1})
+        (setting, value), *others = flatten(place).items()
+        whole = isinstance(value, int) and not isinstance(value, bool)
+        if others or not whole or setting.startswith(f"{EXPERIMENT}."):
+            raise section.error(key, f"= '{name}' is no integer parameter of a component")
+        if other := {**taken, **reseeded}.get(setting):
+            raise section.error(key, f"= '{name}' is set by {other} already")
+        reseeded[setting] = section.at(key)
+    return Replicates(count, tuple(reseeded))
 
 
 def _constraints(section: Section, swept: Iterable[str]) -> Iterator[Constraint]:

@@ -26,9 +26,9 @@ from congelation.export.forms import models_of
 from congelation.export.interface import start_names
 from congelation.signals import Profile
 from congelation.signals import Segment as Piece
+from congelation.study.records import Trajectory
 from congelation.study.scenario import Case
 from congelation.study.start_values import Scalar
-from congelation.study.store import Trajectory
 from congelation.theory.closed_loop import ClosedLoop, Segment, close
 from congelation.theory.model import Model
 

@@ -7,24 +7,37 @@ the parent only how the runs ended.
 from __future__ import annotations
 
 import os
-import resource
 import socket
-import tempfile
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
+
+import psutil
 
 from congelation.cosim.pool import SlavePool
 from congelation.errors import CongelationError, InvalidInput
 from congelation.study.execute import execute, lost_row
 from congelation.study.plan import Run, plan_run
+from congelation.study.records import Row, Trajectory
 from congelation.study.scenario import Scenario
-from congelation.study.store import Store, StoreError, Trajectory
+from congelation.study.store import Store, StoreError
 from congelation.study.sweep import Settings
 
-__all__ = ["REFUSED", "TIMED_OUT", "Done", "Pilot", "Task", "Work", "pilot", "stop_when", "work"]
+__all__ = [
+    "REFUSED",
+    "TIMED_OUT",
+    "Done",
+    "Shipment",
+    "Task",
+    "Work",
+    "Worker",
+    "at_work",
+    "last_words",
+    "stop_when",
+    "work",
+]
 
 REFUSED = "REFUSED"
 """Status of a run that could not begin; its message is that of the InvalidInput."""
@@ -35,20 +48,34 @@ TIMED_OUT = "TIMED_OUT"
 GRACE = 5.0
 """Seconds past the timeout after which a run that does not return from its FMUs is given up."""
 
-PILOT_FRACTIONS = (0.02, 0.2, 1.0)
-"""Parts of a run that a pilot does, until one took `PILOT_SECONDS`."""
-PILOT_SECONDS = 0.3
-PILOT_LIMIT = 3.0
-"""Seconds after which no further run is measured."""
-
 
 @dataclass(frozen=True)
 class Task:
-    """A run to do, small enough to send: a worker makes the `Run` of it."""
+    """A run to do, small enough to send: a worker makes the `Run` of it.
+
+    `replaces` says when the row was written that this one is to replace, None if there is none.
+    """
 
     run_id: str
     variant: str
     settings: Settings
+    replicate: int | None = None
+    replaces: int | None = None
+
+    def is_done(self, store: Store) -> bool:
+        """Whether the store holds the row that is to be made."""
+        return store.written(self.run_id) not in (None, self.replaces)
+
+    def run(self, shared: Work) -> Run:
+        """What it stands for, planned as the parent planned it."""
+        return plan_run(
+            shared.scenario,
+            self.variant,
+            self.settings,
+            shared.varied,
+            shared.seed,
+            self.replicate,
+        )
 
 
 @dataclass(frozen=True)
@@ -80,21 +107,21 @@ class Work:
 
 
 @dataclass(frozen=True)
+class Shipment:
+    """A run that a worker could not store where it belongs: its row, and its trajectory's file."""
+
+    row: Row
+    trajectory: bytes | None
+
+
+@dataclass(frozen=True)
 class Done:
-    """What a worker tells of its tasks: how each run ended, and its largest memory so far."""
+    """What a worker tells of its tasks: how each run ended, and the memory that it has now."""
 
     worker: str
     statuses: tuple[str, ...]
     memory: int
-
-
-@dataclass(frozen=True)
-class Pilot:
-    """What a run takes, by the mean over some: seconds, and bytes of the result directory."""
-
-    runs: int
-    seconds: float
-    size: int
+    shipments: tuple[Shipment, ...] = ()
 
 
 class _Stopped(Exception):
@@ -105,7 +132,7 @@ class _TimedOut(Exception):
     """The run took longer than it may."""
 
 
-class _Worker:
+class Worker:
     """What a worker process holds between tasks."""
 
     def __init__(self, shared: Work) -> None:
@@ -116,7 +143,7 @@ class _Worker:
     def do(self, task: Task) -> str:
         """Do and store one run; returns its status."""
         shared = self.shared
-        if shared.store.is_finished(task.run_id):  # by a worker that died before it could tell
+        if task.is_done(shared.store):  # by a worker that died before it could tell
             return str(shared.store.row(task.run_id)["status"])
         run = self.run(task)
         trajectory: Trajectory | None = None
@@ -132,15 +159,24 @@ class _Worker:
         return str(row["status"])
 
     def run(self, task: Task) -> Run:
-        """The run of a task, planned as the parent planned it."""
-        shared = self.shared
-        run = plan_run(shared.scenario, task.variant, task.settings, shared.varied, shared.seed)
+        """The run of a task; without its trajectory, it records what is measured alone.
+
+        Raises
+        ------
+        InvalidInput
+            If it is another one than the parent planned.
+        """
+        run = task.run(self.shared)
         if run.run_id != task.run_id:
             raise InvalidInput(
                 f"{_name()}: congelation or the FMUs are not those that planned the sweep; "
                 "install the same version everywhere, leave both alone meanwhile, and --resume"
             )
-        return run
+        columns = self.shared.scenario.measured
+        if self.shared.trajectories or columns is None:
+            return run
+        experiment = replace(run.case.experiment, record=columns)
+        return replace(run, case=replace(run.case, experiment=experiment))
 
     def _timed(self, run: Run) -> tuple[dict[str, object], Trajectory]:
         limit = self.shared.timeout
@@ -164,8 +200,12 @@ class _Worker:
 
     def _give_up(self, run: Run) -> None:
         """End this process, which an FMU does not give back."""
-        self.shared.store.write(lost_row(run, self.shared.scenario, TIMED_OUT, self._too_long()))
-        os._exit(1)
+        row = lost_row(run, self.shared.scenario, TIMED_OUT, self._too_long())
+        try:
+            self.shared.store.write(row)
+            _PROCESS.last_words(row)
+        finally:
+            os._exit(1)
 
     def _too_long(self) -> str:
         return f"The run took longer than {self.shared.timeout:g} s; see sweep.timeout."
@@ -177,14 +217,15 @@ class _Process:
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.stopped: Callable[[], bool] = lambda: False
-        self._worker: _Worker | None = None
+        self.last_words: Callable[[Row], None] = lambda row: None
+        self._worker: Worker | None = None
 
-    def worker(self, shared: Work) -> _Worker:
+    def worker(self, shared: Work) -> Worker:
         """The worker for a sweep; that of another sweep frees its FMUs first."""
         if self._worker is None or self._worker.shared != shared:
             if self._worker is not None:
                 self._worker.pool.close()
-            self._worker = _Worker(shared)
+            self._worker = Worker(shared)
         return self._worker
 
 
@@ -194,6 +235,18 @@ _PROCESS = _Process()
 def stop_when(stopped: Callable[[], bool]) -> None:
     """Let this process end its runs in the middle as soon as `stopped` is true."""
     _PROCESS.stopped = stopped
+
+
+def last_words(told: Callable[[Row], None]) -> None:
+    """Let this process tell the row of the run that it ends itself for, besides storing it."""
+    _PROCESS.last_words = told
+
+
+@contextmanager
+def at_work(shared: Work) -> Iterator[Worker]:
+    """This process's worker for a sweep, for one task at a time."""
+    with _PROCESS.lock:
+        yield _PROCESS.worker(shared)
 
 
 def work(shared: Work, tasks: Sequence[Task]) -> Done:
@@ -207,70 +260,13 @@ def work(shared: Work, tasks: Sequence[Task]) -> Done:
         If this process has another version of the code or of the FMUs than the parent.
     """
     done: list[str] = []
-    with _PROCESS.lock:
-        worker = _PROCESS.worker(shared)
+    with at_work(shared) as worker:
         for task in tasks:
             try:
                 done.append(worker.do(task))
             except _Stopped:
                 break
-    return Done(_name(), tuple(done), _memory())
-
-
-def pilot(shared: Work, tasks: Sequence[Task]) -> Pilot:
-    """Measure runs, or as much of each as takes long enough to be measured; stores nothing.
-
-    Ends early, with fewer of the tasks, when it has taken `PILOT_LIMIT`.
-
-    Raises
-    ------
-    CongelationError
-        If a run cannot begin.
-    """
-    end = time.monotonic() + PILOT_LIMIT
-    measured: list[Pilot] = []
-    with _PROCESS.lock, tempfile.TemporaryDirectory() as folder:
-        worker = _PROCESS.worker(shared)
-        first = _part(worker.run(tasks[0]), PILOT_FRACTIONS[0])
-        execute(first, shared.scenario, worker.pool)  # loads the FMUs, which counts for no run
-        for task in tasks:
-            measured.append(_measure(worker, worker.run(task), Store(Path(folder))))
-            if time.monotonic() > end:
-                break
-    runs = len(measured)
-    seconds = sum(one.seconds for one in measured) / runs
-    return Pilot(runs, seconds, round(sum(one.size for one in measured) / runs))
-
-
-def _measure(worker: _Worker, run: Run, store: Store) -> Pilot:
-    shared = worker.shared
-    for fraction in PILOT_FRACTIONS:
-        begin = time.perf_counter()
-        row, trajectory = execute(_part(run, fraction), shared.scenario, worker.pool)
-        store.write(row, trajectory if shared.trajectories else None)
-        seconds = time.perf_counter() - begin
-        if seconds > PILOT_SECONDS:
-            break
-    size = store.part_file(run.run_id).stat().st_size
-    if shared.trajectories:
-        size += round(store.trajectory_file(run.run_id).stat().st_size / fraction)
-    return Pilot(1, seconds / fraction, size)
-
-
-def _part(run: Run, fraction: float) -> Run:
-    """The first part of a run."""
-    experiment = run.case.experiment
-    stop = experiment.start_time + fraction * (experiment.stop_time - experiment.start_time)
-    return replace(run, case=replace(run.case, experiment=replace(experiment, stop_time=stop)))
-
-
-def _memory() -> int:
-    """Bytes: the largest resident memory of this process so far."""
-    status = Path("/proc/self/status")
-    if status.is_file():  # Linux counts the parent's memory into a child's ru_maxrss
-        peak = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
-        return int(peak.split()[1]) * 1024
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return Done(_name(), tuple(done), psutil.Process().memory_info().rss)
 
 
 def _name() -> str:

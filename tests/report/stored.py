@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from congelation.study.store import Store, Trajectory
+from congelation.study.records import Trajectory
+from congelation.study.store import Store
 
 ABOUT = {
     "title": "Two <runs>",

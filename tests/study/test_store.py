@@ -11,14 +11,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from congelation.errors import CongelationError, InvalidInput
-from congelation.study.store import (
-    Store,
-    Trajectory,
-    code_version,
-    content_hash,
-    file_hash,
-    replace_whole,
-)
+from congelation.study.identity import code_version, content_hash, file_hash
+from congelation.study.records import Trajectory
+from congelation.study.store import Store, replace_whole
 
 ABOUT = {"title": "A study", "figures": []}
 
@@ -89,6 +84,19 @@ def test_a_new_state_of_the_scenario_replaces_the_old_one(store: Store) -> None:
     store.remove(["old"])
     assert store.finished() == {"new"}
     assert [file.name for file in store.root.glob("*/*")] == ["new.parquet", "new.parquet"]
+
+
+def test_a_new_attempt_leaves_nothing_of_the_old_one(store: Store) -> None:
+    assert store.written("a") is None
+    store.write({"run_id": "a", "status": "SLAVE_FAILED"}, trajectory())
+    first = store.written("a")
+    store.write({"run_id": "a", "status": "TIMED_OUT"})
+    second = store.written("a")
+    assert first is not None
+    assert second is not None
+    assert first < second
+    assert store.row("a")["status"] == "TIMED_OUT"
+    assert not store.trajectory_file("a").exists()
 
 
 def test_a_sweep_is_not_replaced(store: Store) -> None:

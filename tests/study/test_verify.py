@@ -14,9 +14,9 @@ from congelation.cosim.pool import SlavePool
 from congelation.errors import InvalidInput
 from congelation.study.execute import execute
 from congelation.study.plan import plan_runs
+from congelation.study.records import Trajectory
 from congelation.study.run import run_scenario
 from congelation.study.scenario_file import load_scenario
-from congelation.study.store import Trajectory
 from congelation.study.verify import LARGEST_DEVIATION, Deviation, compare, reference
 from tests.study.scenarios import FMUS, ROOT, SCALAR, write
 
