@@ -4,6 +4,7 @@ System, Component, Connection     what is coupled; loads no binary
 simulate                          the master
 COUPLINGS, make_coupling          how inputs move between communication points
 Result, Status, Statistics        what a run leaves behind
+Output, Memory, ParquetFile       which rows are kept, and where
 SlavePool                         instances kept from one run to the next
 """
 
@@ -11,7 +12,7 @@ from congelation.cosim.coupling import COUPLINGS, Coupling, make_coupling
 from congelation.cosim.master import simulate
 from congelation.cosim.output import Output
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.recorder import ParquetFile, Sink
+from congelation.cosim.recorder import Memory, ParquetFile, Sink
 from congelation.cosim.result import Result, Statistics, Status
 from congelation.cosim.system import Component, Connection, System
 
@@ -20,6 +21,7 @@ __all__ = [
     "Component",
     "Connection",
     "Coupling",
+    "Memory",
     "Output",
     "ParquetFile",
     "Result",

@@ -17,6 +17,7 @@ from congelation.cosim.output import Output
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recorder import Memory, Recorder
 from congelation.cosim.result import Result, RunEnded, Statistics, Status
+from congelation.cosim.rows import Several
 from congelation.cosim.session import Progress, Session
 from congelation.cosim.states import require_states
 from congelation.cosim.system import ResolvedSystem, System
@@ -44,7 +45,7 @@ def simulate(
     coupling: str | Coupling = "derivative",
     options: Mapping[str, object] | None = None,
     record: Sequence[str] | None = None,
-    output: Output | None = None,
+    output: Output | Sequence[Output] | None = None,
     slave_tolerance: float | None = None,
     progress: Progress | None = None,
     pool: SlavePool | None = None,
@@ -70,8 +71,9 @@ def simulate(
     record : sequence of str, optional
         "component.variable"; a vector's name stands for all of its elements. By default every
         number among the outputs, der(.) and next_event left out.
-    output : Output, optional
-        Which rows are recorded, and where to; by default every communication point, in memory.
+    output : Output or sequence of Output, optional
+        Which rows are recorded, and where to; by default every communication point, in memory. Of
+        several, the first makes the result, and each other one has a sink of its own.
     slave_tolerance : float, optional
         Relative tolerance given to the FMUs (fmi2SetupExperiment). By default a tenth of
         `tolerance`, and without one that of the FMUs.
@@ -91,11 +93,12 @@ def simulate(
         The system, the times or the coupling are wrong.
     """
     begin = clock.perf_counter()
-    output = output or Output()
+    outputs = _outputs(output)
     chosen = _coupling(coupling, options)
     _check_times(start_time, stop_time, step, tolerance)
-    periods = {"step": step, "output interval": output.interval, **chosen.periods}
-    for name, period in periods.items():
+    periods = [("step", step), *chosen.periods.items()]
+    periods += [("output interval", output.interval) for output in outputs]
+    for name, period in periods:
         if period is not None:
             _check_period(name, period, start_time, stop_time)
     resolved = system.resolve()
@@ -103,10 +106,11 @@ def simulate(
     recorded = resolved.recorded(record)
     names = tuple(item.name for item in recorded)
     memory = Memory()
-    recorder = Recorder(names, output.sink or memory)
     outcome, statistics = (Status.COMPLETED, Status.COMPLETED.value), Statistics()
     with ExitStack() as stack:
-        stack.enter_context(recorder)
+        recorders = [
+            stack.enter_context(Recorder(names, output.sink or memory)) for output in outputs
+        ]
         lender = pool if pool is not None else stack.enter_context(SlavePool())
         try:
             ensemble = Ensemble(
@@ -114,16 +118,19 @@ def simulate(
                 stack.enter_context(lender.lend(resolved.members)),
                 recorded,
                 derivatives=chosen.needs_derivatives,
-                slopes=output.interval is not None,
+                slopes=any(output.interval is not None for output in outputs),
                 events=chosen.lands_on_events,
             )
-            rows = output.rows(ensemble, recorder)
+            pairs = zip(outputs, recorders, strict=True)
+            parts = [output.rows(ensemble, recorder) for output, recorder in pairs]
+            rows = parts[0] if len(parts) == 1 else Several(parts)
             session = Session(ensemble, chosen, start_time, stop_time, tolerance, rows, progress)
             outcome = _outcome(session, step, tolerance, slave_tolerance)
             statistics = session.statistics(clock.perf_counter() - begin)
         except SlaveError as error:
             outcome = (Status.SLAVE_FAILED, str(error))
-    table = memory.rows() if output.sink is None else recorder.last.reshape(-1, 1 + len(names))
+    in_memory = outputs[0].sink is None
+    table = memory.rows() if in_memory else recorders[0].last.reshape(-1, 1 + len(names))
     return Result(*outcome, table[:, 0], names, table[:, 1:], statistics)
 
 
@@ -183,6 +190,14 @@ def _check_period(name: str, period: float, start_time: float, stop_time: float)
             f"{name} {period:g} is too small from {start_time:g} to {stop_time:g}; it is at least "
             f"{smallest:.2g} there, in seconds"
         )
+
+
+def _outputs(output: Output | Sequence[Output] | None) -> tuple[Output, ...]:
+    if output is None or isinstance(output, Output):
+        return (output or Output(),)
+    if not output or any(further.sink is None for further in output[1:]):
+        raise InvalidInput("of several outputs, all but the first need a sink")
+    return tuple(output)
 
 
 def _coupling(coupling: str | Coupling, options: Mapping[str, object] | None) -> Coupling:

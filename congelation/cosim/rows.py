@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
@@ -12,7 +13,7 @@ from congelation.cosim.coupling.polynomial import interpolation
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.recorder import Recorder
 
-__all__ = ["EveryStep", "OutputGrid", "Rows"]
+__all__ = ["EveryStep", "OutputGrid", "Rows", "Several"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -48,6 +49,38 @@ class Rows(ABC):
     @abstractmethod
     def finish(self, time: float, *, completed: bool) -> None:
         """Nothing will follow the point at `time`; what is read now counts only if `completed`."""
+
+
+class Several(Rows):
+    """The same points for several recordings.
+
+    Parameters
+    ----------
+    parts : sequence of Rows
+    """
+
+    def __init__(self, parts: Sequence[Rows]) -> None:
+        self._parts = tuple(parts)
+
+    def start(self, time: float) -> None:
+        for part in self._parts:
+            part.start(time)
+
+    def point(self, time: float) -> None:
+        for part in self._parts:
+            part.point(time)
+
+    def before_jump(self, time: float) -> None:
+        for part in self._parts:
+            part.before_jump(time)
+
+    def after_jump(self, time: float) -> None:
+        for part in self._parts:
+            part.after_jump(time)
+
+    def finish(self, time: float, *, completed: bool) -> None:
+        for part in self._parts:
+            part.finish(time, completed=completed)
 
 
 class EveryStep(Rows):

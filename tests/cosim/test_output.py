@@ -4,7 +4,7 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from congelation.cosim import Component, Output, ParquetFile, Status, System, simulate
+from congelation.cosim import Component, Memory, Output, ParquetFile, Status, System, simulate
 from congelation.cosim.recorder import BLOCK_ROWS
 from congelation.errors import InvalidInput
 
@@ -72,6 +72,23 @@ def test_dense_output_keeps_to_the_tolerance(loop):
     # q has no derivative among the outputs, and its values are all there is.
     assert between[0] < at_steps[0] + 3e-7
     assert between[1] < at_steps[1] + 3e-7
+
+
+def test_a_run_can_be_recorded_twice(loop):
+    kwargs = {"stop_time": 3.0, "tolerance": 1e-6, "coupling": "hermite", "record": RECORD}
+    system = loop({"a": 1.0})
+    grid = Memory()
+    both = simulate(system, output=[Output(), Output(interval=0.01, sink=grid)], **kwargs)
+    alone = simulate(system, output=Output(interval=0.01), **kwargs)
+    every = simulate(system, **kwargs)
+    assert np.array_equal(both.values, every.values)
+    assert np.array_equal(grid.rows(), np.column_stack([alone.time, alone.values]))
+
+
+def test_only_the_first_output_may_be_without_a_sink(loop):
+    for outputs in ([], [Output(), Output(every=2)]):
+        with pytest.raises(InvalidInput, match="need a sink"):
+            simulate(loop(), stop_time=1.0, step=0.1, output=outputs)
 
 
 def test_grid_points_that_are_communication_points_are_taken_as_they_are(loop):
