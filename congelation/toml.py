@@ -195,12 +195,18 @@ def parse_document(text: str, name: str) -> Section:
     """The outermost table of a TOML text; `name` is what messages call it."""
     try:
         return Section(name, "", tomllib.loads(text))
-    except tomllib.TOMLDecodeError as error:
+    # Besides TOML's own errors, those of a number of thousands of digits and of deep nesting.
+    except (ValueError, RecursionError) as error:
         raise InvalidInput(f"{name}: not valid TOML: {error}") from error
 
 
 def _is_finite(value: object) -> TypeGuard[float]:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return False
+    try:
+        return math.isfinite(value)
+    except OverflowError:  # a whole number beyond the largest float
+        return False
 
 
 def _neighbours(file: Path) -> str:
