@@ -15,7 +15,7 @@ from congelation.cli.progress import Form, shown
 from congelation.cli.shared import FAILED, INTERRUPTED, complain, print_figures, print_summary
 from congelation.cosim.result import Status
 from congelation.errors import CongelationError, InvalidInput
-from congelation.study.batch import Plan, plan_sweep, run_sweep
+from congelation.study.batch import run_sweep
 from congelation.study.estimate import estimate
 from congelation.study.executors import Cluster, Processes, Workers
 from congelation.study.run import run_scenario
@@ -24,6 +24,7 @@ from congelation.study.scenario_file import load_scenario
 from congelation.study.shipping import cargo_of
 from congelation.study.ssp import read_ssp, write_ssp
 from congelation.study.store import Store
+from congelation.study.sweep_plan import Plan, plan_sweep
 from congelation.study.verify import LARGEST_DEVIATION
 
 __all__ = ["export_ssp", "run", "sweep"]
@@ -115,8 +116,8 @@ def sweep(
         with shown(plan, progress) as listener:
             run_sweep(plan, workers=place, progress=listener)
     except KeyboardInterrupt as error:
-        done = len(plan.shared.store.finished())
-        complain(f"interrupted after {done} of {len(plan.run_ids)} runs; go on with --resume")
+        total = len(plan.run_ids)
+        complain(f"interrupted after {plan.finished} of {total} runs; go on with --resume")
         raise typer.Exit(INTERRUPTED) from error
     print_summary(Store(folder))
     print(Store(folder).index)
@@ -153,6 +154,8 @@ def _place(plan: Plan, workers: int, scheduler: str | None, *, ship: bool) -> Wo
 def _announce(plan: Plan, place: Workers, folder: Path, *, measured: bool) -> None:
     """Say how many runs there are, and what those missing will take."""
     print(f"{len(plan.run_ids)} runs, {len(plan.missing)} of them to do in {folder}")
+    if plan.others:
+        print(f"{plan.others} runs there are of another state of the scenario, and not listed")
     if not (measured and plan.missing):
         return
     try:

@@ -7,9 +7,9 @@ from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
 
 from congelation.errors import CongelationError
-from congelation.study.batch import Plan
 from congelation.study.executors import Workers
 from congelation.study.pilot import Pilot, pilot
+from congelation.study.sweep_plan import Plan
 
 __all__ = ["Estimate", "estimate"]
 

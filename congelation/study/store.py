@@ -108,7 +108,8 @@ class Store:
     def rows(self) -> tuple[dict[str, Any], ...]:
         """The rows of all runs finished so far, also while a sweep is under way.
 
-        Those of runs.parquet come first, in its order. Every row has every column.
+        Those of runs.parquet come first, in its order; those that it leaves out as runs of another
+        plan are no part of it. Every row has every column.
 
         Raises
         ------
@@ -117,8 +118,10 @@ class Store:
         """
         if not (self.root / "parts").is_dir() and not self.index.is_file():
             raise InvalidInput(f"{self.root} is no result directory")
-        rows = list(self.read().rows) if self.index.is_file() else []
-        new = self.finished({row["run_id"] for row in rows})
+        study = self.read() if self.index.is_file() else Study((), {})
+        rows = list(study.rows)
+        unlisted = study.about.get("sweep", {}).get("unlisted", ())
+        new = self.finished({*(row["run_id"] for row in rows), *unlisted})
         rows += [self.row(run_id) for run_id in sorted(new)]
         names = dict.fromkeys(name for row in rows for name in row)
         return tuple({name: row.get(name) for name in names} for row in rows)
@@ -206,7 +209,8 @@ class Store:
 
 def _joined(tables: Iterable[pa.Table]) -> pa.Table:
     """One table with the columns of all of them, in one piece."""
-    return pa.concat_tables(list(tables), promote_options="permissive").combine_chunks()
+    several = [pa.table({}), *tables]  # of none at all, it is the empty one
+    return pa.concat_tables(several, promote_options="permissive").combine_chunks()
 
 
 def _trajectory_table(trajectory: Trajectory) -> pa.Table:

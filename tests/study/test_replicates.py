@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from congelation.errors import InvalidInput
-from congelation.study.batch import Plan, plan_sweep
 from congelation.study.scenario_file import load_scenario
 from congelation.study.sweep import Replicates
+from congelation.study.sweep_plan import Plan, plan_sweep
 from tests.study.scenarios import SCALAR, write
 
 SEED = "plant.profile[1].telegraph[1].seed"
