@@ -1,4 +1,4 @@
-"""``congelation sweep --resume`` after the scenario has changed."""
+"""``congelation sweep`` when the scenario has changed since, or does not stand."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from congelation.study.store import Store
 from tests.study.scenarios import SCALAR, write
-from tests.test_cli import congelation
+from tests.test_cli import congelation, one_line
 from tests.test_cli_sweep import rows, sweep
 
 pytestmark = pytest.mark.slow
@@ -49,3 +49,34 @@ def test_runs_of_another_plan_are_not_listed_while_none_of_this_one_is_done(tmp_
     Store(out).compact([], {"sweep": {"unlisted": sorted(Store(out).finished())}})
     assert Store(out).rows() == ()
     assert congelation("ls", out).stdout == "no runs\n"
+
+
+def test_a_tolerance_that_the_coupling_does_not_take_ends_the_plan(tmp_path: Path) -> None:
+    file = write(
+        tmp_path, SCALAR + EPSILON, ("step = 0.01", 'tolerance = 1e-3\ncoupling = "jacobi"')
+    )
+    for command in ("run", "sweep"):
+        line = one_line(congelation(command, file, "--out", tmp_path / "out"), 2)
+        assert line.startswith(
+            f"congelation: {file}: experiment.tolerance: coupling 'jacobi' takes"
+        )
+    assert not Store(tmp_path / "out").finished()
+
+
+def test_failures_are_counted_and_none_that_begins_is_bad_input(tmp_path: Path) -> None:
+    some = EPSILON.replace("0.5", "-1.0")
+    done = sweep(write(tmp_path, SCALAR + some), tmp_path / "some")
+    assert one_line(done, 0) == "congelation: 2 of 4 runs failed (2 SLAVE_FAILED)"
+    file = write(tmp_path, SCALAR + EPSILON, ("step = 0.01", "step = 1e-18"))
+    done = sweep(file, tmp_path / "all", "--progress", "quiet")
+    assert "step 1e-18 is too small" in one_line(done, 2)
+    assert "congelation: 4 of 4 runs failed (4 REFUSED)\n" in done.stderr
+    assert len(rows(tmp_path / "all")) == 4
+    line = one_line(congelation("run", file, "--out", tmp_path / "run"), 2)
+    assert line.startswith(f"congelation: {file}: Controller 1: step 1e-18 is too small")
+
+
+def test_a_timeout_beyond_all_clocks_is_none(tmp_path: Path) -> None:
+    file = write(tmp_path, SCALAR + EPSILON.replace("[sweep]", "[sweep]\ntimeout = 1e300"))
+    done = sweep(file, tmp_path / "out", "--progress", "quiet")
+    assert (done.returncode, done.stderr) == (0, "")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -18,6 +19,7 @@ from congelation.errors import CongelationError, InvalidInput
 from congelation.study.batch import run_sweep
 from congelation.study.estimate import estimate
 from congelation.study.executors import Cluster, Processes, Workers
+from congelation.study.records import Row
 from congelation.study.run import run_scenario
 from congelation.study.scenario import Scenario
 from congelation.study.scenario_file import load_scenario
@@ -26,6 +28,7 @@ from congelation.study.ssp import read_ssp, write_ssp
 from congelation.study.store import Store
 from congelation.study.sweep_plan import Plan, plan_sweep
 from congelation.study.verify import LARGEST_DEVIATION
+from congelation.study.workers import REFUSED
 
 __all__ = ["export_ssp", "run", "sweep"]
 
@@ -121,6 +124,7 @@ def sweep(
         raise typer.Exit(INTERRUPTED) from error
     print_summary(Store(folder))
     print(Store(folder).index)
+    _tell_failures(Store(folder).read().rows)
 
 
 def export_ssp(
@@ -164,6 +168,18 @@ def _announce(plan: Plan, place: Workers, folder: Path, *, measured: bool) -> No
         raise
     except CongelationError as error:
         print(f"no estimate: {error}", flush=True)
+
+
+def _tell_failures(rows: Sequence[Row]) -> None:
+    """Say how many runs failed, and how; raise InvalidInput if not one could begin."""
+    failed = [row for row in rows if row["status"] != Status.COMPLETED.name]
+    if not failed:
+        return
+    kinds = Counter(str(row["status"]) for row in failed)
+    counts = ", ".join(f"{count} {status}" for status, count in kinds.most_common())
+    complain(f"{len(failed)} of {len(rows)} runs failed ({counts})")
+    if kinds[REFUSED] == len(rows):
+        raise InvalidInput(str(failed[0]["message"]))
 
 
 def _run_with_progress(scenario: Scenario, folder: Path, verify: bool) -> Store:

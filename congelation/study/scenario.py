@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
@@ -206,11 +207,9 @@ def read_experiment(section: Section) -> Experiment:
     section.only(f.name for f in fields(Experiment))
     start = section.seconds("start_time") if "start_time" in section.data else 0.0
     stop = section.seconds("stop_time")
-    if stop <= start:
+    if not (stop > start and math.isfinite(stop - start)):
         raise section.wrong("stop_time", f"a time after start_time = {start:g}")
-    step = section.seconds("step") if "step" in section.data else None
-    if step is not None and step <= 0.0:
-        raise section.wrong("step", "a positive time")
+    step = section.duration("step") if "step" in section.data else None
     if step is None and "tolerance" not in section.data:
         raise section.error("step", "is missing; give a time in seconds, or a tolerance")
     coupling = section.text("coupling", "derivative")
@@ -221,10 +220,10 @@ def read_experiment(section: Section) -> Experiment:
         record=section.texts("record"),
         start_time=start,
         step=step,
-        tolerance=_optional_positive(section, "tolerance"),
+        tolerance=_optional_tolerance(section, "tolerance"),
         coupling=coupling,
         options=options,
-        slave_tolerance=_optional_positive(section, "slave_tolerance"),
+        slave_tolerance=_optional_tolerance(section, "slave_tolerance"),
         **_output(section),
     )
 
@@ -235,10 +234,7 @@ def _output(section: Section) -> dict[str, Any]:
     if len(keys) > 1:
         raise section.error("output_every", "and output_interval exclude each other")
     if keys == ["output_interval"]:
-        interval = section.seconds("output_interval")
-        if interval <= 0.0:
-            raise section.wrong("output_interval", "a positive time")
-        return {"output_interval": interval}
+        return {"output_interval": section.duration("output_interval")}
     if keys == ["output_every"]:
         every = section.integer("output_every", 0)
         if every < 1:
@@ -247,5 +243,12 @@ def _output(section: Section) -> dict[str, Any]:
     return {}
 
 
-def _optional_positive(section: Section, key: str) -> float | None:
-    return section.positive(key) if key in section.data else None
+def _optional_tolerance(section: Section, key: str) -> float | None:
+    """The relative tolerance under `key`, if there is one."""
+    if key not in section.data:
+        return None
+    valid = "a number between 0 and 1"
+    tolerance = section.number(key, valid)
+    if not 0.0 < tolerance < 1.0:
+        raise section.wrong(key, valid)
+    return tolerance

@@ -11,7 +11,8 @@ from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
 from congelation.study.plan import plan_run, varied_settings
 from congelation.study.provenance import about
-from congelation.study.scenario import Scenario
+from congelation.study.scenario import EXPERIMENT, Scenario
+from congelation.study.start_values import Scalar
 from congelation.study.store import Store
 from congelation.study.sweep import Sweep
 from congelation.study.workers import REFUSED, TIMED_OUT, Task, Work
@@ -91,7 +92,7 @@ def plan_sweep(
         raise InvalidInput(
             f"{folder} holds {len(done)} finished runs; give --resume to go on, or another --out"
         )
-    if next(sweep.points(), None) is None:
+    if next(_points(scenario, sweep), None) is None:
         raise InvalidInput(f"{scenario.file}: sweep.constraints leave no point")
     varied = varied_settings(scenario, sweep.names())
     tasks = {task.run_id: task for task in _tasks(scenario, sweep, varied)}
@@ -110,11 +111,32 @@ def plan_sweep(
 def _tasks(scenario: Scenario, sweep: Sweep, varied: Sequence[str]) -> Iterator[Task]:
     """Every variant at every point, as often as it is repeated."""
     repetitions = tuple(sweep.repetitions())
-    for point, (replicate, seeds) in itertools.product(sweep.points(), repetitions):
+    points = _points(scenario, sweep)
+    for point, (replicate, seeds) in itertools.product(points, repetitions):
         for variant in scenario.variants:
             settings = {**variant.settings, **point, **seeds}
-            run_id = plan_run(scenario, variant.name, settings, varied).run_id
+            try:
+                run_id = plan_run(scenario, variant.name, settings, varied).run_id
+            except InvalidInput as error:
+                raise _drawn(error, sweep) from error
             yield Task(run_id, variant.name, settings, replicate)
+
+
+def _points(scenario: Scenario, sweep: Sweep) -> Iterator[dict[str, Scalar]]:
+    """The points of a sweep; what cannot be evaluated of its constraints is told with its place."""
+    try:
+        yield from sweep.points()
+    except InvalidInput as error:
+        raise InvalidInput(f"{scenario.file}: sweep.constraints: {error}") from error
+
+
+def _drawn(error: InvalidInput, sweep: Sweep) -> InvalidInput:
+    """The error about an experiment, naming the axes that draw settings of it."""
+    axes = [axis for axis in sweep.axes if axis.name.startswith(f"{EXPERIMENT}.")]
+    if not axes:
+        return error
+    places = " and ".join(f"{axis.place} draws {axis.name} ({axis.distribution})" for axis in axes)
+    return InvalidInput(f"{error}; {places}")
 
 
 def _missing(
