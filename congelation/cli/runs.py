@@ -13,7 +13,14 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from congelation.cli.progress import Form, shown
-from congelation.cli.shared import FAILED, INTERRUPTED, complain, print_figures, print_summary
+from congelation.cli.shared import (
+    FAILED,
+    INTERRUPTED,
+    as_status,
+    complain,
+    print_figures,
+    print_summary,
+)
 from congelation.cosim.result import Status
 from congelation.errors import CongelationError, InvalidInput
 from congelation.study.batch import run_sweep
@@ -109,7 +116,7 @@ def sweep(
         raise InvalidInput("give --workers or --scheduler, not both")
     if ship and scheduler is None:
         raise InvalidInput("--ship needs a --scheduler to send FMUs to; processes here have them")
-    again = [status.upper().replace("-", "_") for status in retry or ()]
+    again = [as_status(status) for status in retry or ()]
     plan = plan_sweep(_read(scenario), folder, resume=bool(resume or dry_run or again), retry=again)
     place = _place(plan, workers or 1, scheduler, ship=ship)
     try:

@@ -66,6 +66,8 @@ class Metric:
         ``evaluate(case, time, columns, values)``, the states of the loop among the columns.
     recorded : bool
         True if such a metric is of every variable that the experiment records.
+    positive : tuple of str
+        Those of the options that have to be positive.
     """
 
     name: str
@@ -75,6 +77,7 @@ class Metric:
     scalar: bool = False
     loop: bool = False
     recorded: bool = False
+    positive: tuple[str, ...] = ()
 
     @property
     def options(self) -> dict[str, bool]:
@@ -207,6 +210,7 @@ _BUILT_IN = (
         settling_time,
         "inf {T >= 0 : |v(t)| <= below for all t >= T} (Astrom and Murray 2008, sec. 5.3)",
         _time,
+        positive=("below",),
     ),
     Metric(
         "overshoot",

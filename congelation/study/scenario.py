@@ -9,7 +9,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from congelation.cosim.coupling import make_coupling
+from congelation.cosim.coupling import Coupling, make_coupling
 from congelation.cosim.output import Output
 from congelation.cosim.system import System
 from congelation.study.start_values import Scalar
@@ -213,8 +213,9 @@ def read_experiment(section: Section) -> Experiment:
     if step is None and "tolerance" not in section.data:
         raise section.error("step", "is missing; give a time in seconds, or a tolerance")
     coupling = section.text("coupling", "derivative")
-    options = dict(section.section("options").data)
-    section.attempt("coupling", partial(make_coupling, coupling, options))
+    options = _options(section)
+    chosen = section.attempt("coupling", partial(make_coupling, coupling, options))
+    _check_options(section, chosen)
     return Experiment(
         stop_time=stop,
         record=section.texts("record"),
@@ -226,6 +227,26 @@ def read_experiment(section: Section) -> Experiment:
         slave_tolerance=_optional_tolerance(section, "slave_tolerance"),
         **_output(section),
     )
+
+
+def _options(section: Section) -> dict[str, object]:
+    """The options of the coupling; those with a unit in seconds."""
+    table = section.section("options")
+    return {
+        key: table.seconds(key) if isinstance(value, Mapping) else value
+        for key, value in table.data.items()
+    }
+
+
+def _check_options(section: Section, coupling: Coupling) -> None:
+    """Raise InvalidInput where an option has a unit and is no time, or has no effect."""
+    table = section.section("options")
+    for key, value in table.data.items():
+        if isinstance(value, Mapping) and key not in coupling.periods:
+            raise table.error(key, "is no time; give it without a unit")
+    if "tolerance" in table.data and "tolerance" in section.data:
+        own = section.at("tolerance")
+        raise table.error("tolerance", f"has no effect beside {own}; leave one of them out")
 
 
 def _output(section: Section) -> dict[str, Any]:

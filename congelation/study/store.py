@@ -116,8 +116,7 @@ class Store:
         InvalidInput
             If this is no result directory.
         """
-        if not (self.root / "parts").is_dir() and not self.index.is_file():
-            raise InvalidInput(f"{self.root} is no result directory")
+        self._require()
         study = self.read() if self.index.is_file() else Study((), {})
         rows = list(study.rows)
         unlisted = study.about.get("sweep", {}).get("unlisted", ())
@@ -126,16 +125,24 @@ class Store:
         names = dict.fromkeys(name for row in rows for name in row)
         return tuple({name: row.get(name) for name in names} for row in rows)
 
+    def _require(self) -> None:
+        """Raise InvalidInput if this is no result directory."""
+        if not (self.root / "parts").is_dir() and not self.index.is_file():
+            raise InvalidInput(f"{self.root} is no result directory")
+
     def find(self, run_id: str) -> dict[str, Any]:
         """The row of the finished run whose run_id begins with `run_id`.
 
         Raises
         ------
         InvalidInput
-            If there is no such run, or more than one.
+            If this is no result directory, or there is no such run, or more than one.
         """
+        self._require()
         known = sorted(self.finished())
         found = [name for name in known if name.startswith(run_id)]
+        if not known:
+            raise InvalidInput(f"{self.root} has no runs")
         if not found:
             raise InvalidInput(f"{self.root} has no run '{run_id}'; {nearest(run_id, known)}")
         if len(found) > 1:

@@ -22,7 +22,7 @@ from congelation.study.sweep import (
 )
 from congelation.toml import Section
 
-__all__ = ["read_sweep"]
+__all__ = ["Flatten", "read_sweep"]
 
 Flatten = Callable[[Section], dict[str, Scalar]]
 """Checks a table of settings against the scenario; one entry per scalar variable."""
