@@ -8,13 +8,21 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
-from congelation.errors import CongelationError
-from congelation.export.manifest import update_manifest
-from congelation.export.package import build
-from congelation.export.spec import read_spec
-from congelation.export.validation import validate
+try:
+    from congelation.errors import CongelationError, InvalidInput
+    from congelation.export.manifest import update_manifest
+    from congelation.export.package import build
+    from congelation.export.spec import Spec, read_spec
+    from congelation.export.validation import validate
+    from congelation.places import check_folder
+except ModuleNotFoundError as missing:
+    sys.exit(
+        f"build_fmu.py: this Python ({sys.executable}) has no module '{missing.name}'; "
+        "run `make fmus`, which installs everything into .venv, or `. .venv/bin/activate` first"
+    )
 
 ROOT = Path(__file__).resolve().parent
 # The FMUs of the contract, one spec for each form.
@@ -29,17 +37,35 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     files = options.spec or [ROOT / "specs" / f"{name}.toml" for name in STANDARD]
     try:
-        for file in files:
-            build_spec(file, options.out)
+        check_folder("--out", options.out)
+        specs = [read_spec(file) for file in files]
+        _check_names(files, specs)
+        for file, spec in zip(files, specs, strict=True):
+            build_spec(file, spec, options.out)
     except CongelationError as error:
         print(f"build_fmu.py: {error}", file=sys.stderr)
+        return 2
+    except OSError as error:
+        print(f"build_fmu.py: a file cannot be written: {error}", file=sys.stderr)
         return 2
     return 0
 
 
-def build_spec(file: Path, out: Path) -> None:
+def _check_names(files: Sequence[Path], specs: Sequence[Spec]) -> None:
+    """Refuse specs of which one would overwrite the FMUs of another."""
+    owner: dict[str, Path] = {}
+    for file, spec in zip(files, specs, strict=True):
+        for name in (spec.plant.name, spec.controller.name):
+            if name.lower() in owner:
+                raise InvalidInput(
+                    f"{file}: '{name}' is an FMU of {owner[name.lower()]} too; "
+                    "give it another name, or build into another folder"
+                )
+            owner[name.lower()] = file
+
+
+def build_spec(file: Path, spec: Spec, out: Path) -> None:
     """Build and validate the two FMUs of a spec, and enter them in the manifest."""
-    spec = read_spec(file)
     for fmu in (spec.plant, spec.controller):
         path = build(fmu, spec, ROOT / "fmu_src", out)
         validate(path)

@@ -203,18 +203,17 @@ def parse_document(text: str, name: str) -> Section:
     """The outermost table of a TOML text; `name` is what messages call it."""
     try:
         return Section(name, "", tomllib.loads(text))
-    except ValueError as error:  # a TOMLDecodeError, or that of an integer of too many digits
+    # Besides TOML's own errors, those of a number of thousands of digits and of deep nesting.
+    except (ValueError, RecursionError) as error:
         raise InvalidInput(f"{name}: not valid TOML: {error}") from error
-    except RecursionError as error:
-        raise InvalidInput(f"{name}: not valid TOML: nested too deeply") from error
 
 
 def _is_finite(value: object) -> TypeGuard[float]:
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if not isinstance(value, int | float) or isinstance(value, bool):
         return False
     try:
         return math.isfinite(value)
-    except OverflowError:  # an integer beyond every float
+    except OverflowError:  # a whole number beyond the largest float
         return False
 
 

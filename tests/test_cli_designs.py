@@ -29,6 +29,22 @@ def test_certify_names_the_state_of_a_violation():
     assert "plant.x = " in line
 
 
+def test_certify_of_extreme_numbers_is_one_line(tmp_path):
+    """Refused as a spec; as a scenario, which does not start there, nowhere finite."""
+    for name, old, code in (("specs", "epsilon = 1,", 2), ("scenarios", "epsilon = 0.3", 2)):
+        text = (ROOT / name / "scalar.toml").read_text("utf-8")
+        assert old in text
+        text = text.replace(old, old.split("=")[0] + "= 1e-300" + ("," if "," in old else ""))
+        for fmu in ("ScalarPlant", "ScalarController"):
+            text = text.replace(f'fmu = "{fmu}"', f'fmu = "{ROOT}/fmus/{fmu}.fmu"')
+        file = tmp_path / f"{name}.toml"
+        file.write_text(text)
+        done = congelation("certify", str(file), "--samples", "20")
+        assert done.returncode == code
+        (line,) = done.stderr.splitlines()
+        assert "epsilon = 1e-300" in line
+
+
 def test_certify_without_a_file():
     done = congelation("certify", "specs/none.toml")
     assert done.returncode == 2

@@ -15,7 +15,7 @@ from congelation.report.table import aligned
 from congelation.study.run import run_scenario
 from congelation.study.scenario_file import load_scenario
 from congelation.study.store import Store
-from tests.study.scenarios import write
+from tests.study.scenarios import SCALAR, write
 from tests.test_cli import congelation, one_line
 
 
@@ -100,6 +100,53 @@ def test_names_that_matlab_would_confuse_are_refused(tmp_path: Path) -> None:
         write_mat(store, tmp_path / "a.mat")
     assert not (tmp_path / "a.mat").exists()
     assert matlab_name("plant.profile[1].sine[2].omega") == "plant_profile_1_sine_2_omega"
+
+
+def test_matlab_names_are_ascii_and_begin_with_a_letter(tmp_path: Path) -> None:
+    assert matlab_name("plänt.x0[1]") == "plant_x0_1"
+    assert matlab_name("θ_max") == "u3b8_max"
+    assert matlab_name("2nd.x") == "x2nd_x"
+    store = Store(tmp_path)
+    store.create()
+    store.write({"run_id": "ä", "plänt.x0[1]": 1.0, "straße.u": 2.0, "variant": "größer"})
+    write_mat(store, tmp_path / "a.mat")
+    runs = loadmat(tmp_path / "a.mat", simplify_cells=True)["runs"]
+    assert runs == {"run_id": "ä", "plant_x0_1": 1.0, "straudfe_u": 2.0, "variant": "größer"}
+    store.write({"run_id": "b", "plant.x0[1]": 1.0, "plänt.x0[1]": 2.0})
+    with pytest.raises(InvalidInput, match=r"would both be 'plant_x0_1' in MATLAB"):
+        write_mat(store, tmp_path / "b.mat")
+
+
+def test_a_component_with_an_accent_is_exported(tmp_path: Path) -> None:
+    text = SCALAR.replace("plant", "plänt").replace("components.plänt", "components.'plänt'")
+    store = run_scenario(load_scenario(write(tmp_path, text)), tmp_path / "out")
+    done = congelation("export", store.root, "--mat", tmp_path / "a.mat", "--csv", tmp_path / "csv")
+    assert done.returncode == 0, done.stderr
+    content = loadmat(tmp_path / "a.mat", simplify_cells=True)
+    assert "plant_sha256" in content["runs"]
+    assert "plänt.x" in content["trajectories"][0]["columns"]
+
+
+def test_places_that_take_no_files_are_one_line(out: Path, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for command in (
+        ("report", out, "--html", tmp_path),
+        ("export", out, "--mat", tmp_path),
+    ):
+        assert "this is a folder; give the name of a file" in one_line(congelation(*command), 2)
+    for command in (
+        ("export", out, "--csv", tmp_path / "file"),
+        ("export", out, "--mat", "/proc/x.mat"),
+        ("report", out, "--html", tmp_path / "file" / "a.html"),
+    ):
+        assert "no files can be written there" in one_line(congelation(*command), 2)
+
+
+def test_a_file_is_no_result_directory(tmp_path: Path) -> None:
+    (tmp_path / "file.txt").touch()
+    for command in (("report",), ("ls",), ("export", "--csv", tmp_path / "csv")):
+        line = one_line(congelation(command[0], tmp_path / "file.txt", *command[1:]), 2)
+        assert "file.txt is a file, not a result directory" in line
 
 
 def test_tables_are_aligned_and_not_cut() -> None:

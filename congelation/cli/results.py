@@ -11,6 +11,7 @@ import typer
 from congelation.cli.shared import as_status, print_figures, print_summary
 from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
+from congelation.places import check_file, check_folder
 from congelation.report.exchange import write_csv, write_mat
 from congelation.report.figures import save
 from congelation.report.html import write_html
@@ -46,7 +47,9 @@ def report(
     ] = None,
 ) -> None:
     """Summarise a result directory and draw its figures, from stored results alone."""
-    store = Store(folder)
+    store = _store(folder)
+    if html is not None:
+        check_file("--html", html)
     if by:
         summary = summarise_groups(store.read(), by)
         header = [", ".join(by), *summary.columns]
@@ -75,7 +78,7 @@ def ls(
     known = (Status.COMPLETED.name, *FAILURES)
     if wanted is not None and wanted not in known:
         raise InvalidInput(f"'{status}' is no status; valid: {', '.join(known)}")
-    _print_rows([row for row in Store(folder).rows() if wanted in (None, row["status"])])
+    _print_rows([row for row in _store(folder).rows() if wanted in (None, row["status"])])
 
 
 def show(
@@ -85,7 +88,7 @@ def show(
     ],
 ) -> None:
     """Show one run: everything in its row, and where its trajectory is."""
-    store = Store(folder)
+    store = _store(folder)
     row = store.find(run_id)
     file = store.trajectory_file(row["run_id"])
     lines = [(name, number(value)) for name, value in row.items()]
@@ -105,12 +108,27 @@ def export(
     """Write a result directory for other programs."""
     if csv is None and mat is None:
         raise InvalidInput("nothing to do: give --csv FOLDER or --mat FILE")
+    store = _store(folder)
     if csv is not None:
-        files = write_csv(Store(folder), csv)
+        check_folder("--csv", csv)
+    if mat is not None:
+        check_file("--mat", mat)
+    if csv is not None:
+        files = write_csv(store, csv)
         print(f"{len(files)} files in {csv}")
     if mat is not None:
-        write_mat(Store(folder), mat)
+        write_mat(store, mat)
         print(mat)
+
+
+def _store(folder: Path) -> Store:
+    """The store in `folder`, which has to be a directory."""
+    if folder.exists() and not folder.is_dir():
+        raise InvalidInput(
+            f"{folder} is a file, not a result directory; give the directory that "
+            "`congelation run` or `sweep` wrote"
+        )
+    return Store(folder)
 
 
 def _print_rows(rows: Sequence[Mapping[str, object]]) -> None:

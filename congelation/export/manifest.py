@@ -9,6 +9,7 @@ import zipfile
 from pathlib import Path
 from xml.etree import ElementTree
 
+from congelation.errors import InvalidInput
 from congelation.export.spec import FmuSpec
 
 __all__ = ["update_manifest"]
@@ -19,7 +20,7 @@ _TOOLS = ("congelation", "casadi", "pythonfmu", "fmpy")
 
 def update_manifest(manifest: Path, path: Path, fmu: FmuSpec, spec: str) -> None:
     """Enter a built FMU in the manifest, in place of an older build of the same name."""
-    entries = json.loads(manifest.read_text("utf-8")) if manifest.exists() else {}
+    entries = _entries(manifest)
     with zipfile.ZipFile(path) as archive:
         guid = ElementTree.fromstring(archive.read("modelDescription.xml")).get("guid")
     entries[path.name] = {
@@ -30,3 +31,15 @@ def update_manifest(manifest: Path, path: Path, fmu: FmuSpec, spec: str) -> None
         "tools": {name: importlib.metadata.version(name) for name in _TOOLS},
     }
     manifest.write_text(json.dumps(entries, indent=1, sort_keys=True) + "\n", "utf-8")
+
+
+def _entries(manifest: Path) -> dict[str, object]:
+    if not manifest.exists():
+        return {}
+    try:
+        entries = json.loads(manifest.read_text("utf-8"))
+    except ValueError:
+        entries = None
+    if not isinstance(entries, dict):
+        raise InvalidInput(f"{manifest} was not written by build_fmu.py; remove it")
+    return entries

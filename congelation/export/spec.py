@@ -40,16 +40,19 @@ from pathlib import Path
 import numpy as np
 
 from congelation.errors import nearest
+from congelation.export.defaults import check_defaults
 from congelation.export.equations import Special
 from congelation.export.forms import FORMS, Form, Structure
 from congelation.export.interface import ProfileSlots
 from congelation.export.units import base_unit
 from congelation.signals import Profile, Slots
 from congelation.theory.model import Model
-from congelation.theory.values import complete_values
 from congelation.toml import Section, read_document
 
 __all__ = ["FmuSpec", "Spec", "read_spec"]
+
+LARGEST_ORDER = 100
+"""Of n, m and p: what the recursions derive outgrows any memory long before."""
 
 Units = Mapping[str, str | list[str]]
 
@@ -107,18 +110,16 @@ def read_spec(file: Path) -> Spec:
     structure = _structure(top.section("structure"), form)
     plant, controller, special = top.attempt("structure", lambda: form.models(structure))
     units = _units(top.section("units"), plant, controller)
-    return Spec(
-        top.text("title", file.stem),
-        name,
-        structure,
-        _plant(top.section("plant"), form.plant_folder, plant.with_units(units), file.parent),
-        _block(
-            top.section("controller"),
-            form.controller_folder,
-            controller.with_units(units),
-            special,
-        ),
+    sections = top.section("plant"), top.section("controller")
+    blocks = (
+        _plant(sections[0], form.plant_folder, plant.with_units(units), file.parent),
+        _block(sections[1], form.controller_folder, controller.with_units(units), special),
     )
+    if blocks[0].name.lower() == blocks[1].name.lower():
+        raise sections[1].error(
+            "name", f"= '{blocks[1].name}' is the plant's too; give the two FMUs different names"
+        )
+    return Spec(top.text("title", file.stem), name, structure, *blocks)
 
 
 def _structure(section: Section, form: Form) -> Structure:
@@ -131,8 +132,8 @@ def _structure(section: Section, form: Form) -> Structure:
 
 def _order(section: Section, key: str) -> int:
     value = section.data[key]
-    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
-        raise section.wrong(key, "a whole number")
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= LARGEST_ORDER:
+        raise section.wrong(key, f"a whole number up to {LARGEST_ORDER}")
     return value
 
 
@@ -148,7 +149,7 @@ def _phibar(section: Section, key: str) -> list[list[list[float]]]:
             raise table.wrong(place, f"{p} numbers")
         try:
             phibar[i, j] = value
-        except (TypeError, ValueError):
+        except (OverflowError, TypeError, ValueError):
             raise table.wrong(place, f"{p} numbers") from None
     rows: list[list[list[float]]] = phibar.tolist()
     return rows
@@ -156,9 +157,12 @@ def _phibar(section: Section, key: str) -> list[list[list[float]]]:
 
 def _numbers(section: Section, key: str) -> object:
     try:
-        return np.asarray(section.data[key], dtype=float).tolist()
-    except (TypeError, ValueError):
+        numbers = np.asarray(section.data[key], dtype=float)
+    except (OverflowError, TypeError, ValueError):
         raise section.wrong(key, "numbers, or rows of numbers of one length") from None
+    if not np.isfinite(numbers).all():
+        raise section.wrong(key, "finite numbers")
+    return numbers.tolist()
 
 
 def _text(section: Section, key: str) -> str:
@@ -202,7 +206,7 @@ def _block(section: Section, folder: str, model: Model, special: Special | None)
     start = section.section("start")
     changed = start.attempt("", lambda: model.with_defaults(start.data))
     # An FMU whose own defaults it would refuse is not built.
-    start.attempt("", lambda: complete_values(changed))
+    start.attempt("", lambda: check_defaults(model, start.data, special))
     return FmuSpec(name, folder, changed, special)
 
 

@@ -25,7 +25,7 @@ _DERIVED: dict[str, tuple[float, dict[str, int]]] = {
     "g": (1e-3, {"kg": 1}),
     **{name: (1.0, {name: 1}) for name in BASE},
 }
-_FACTOR = re.compile(r"([A-Za-z]+|1)(-?\d+)?")
+_FACTOR = re.compile(r"([A-Za-z]+|1)(-?\d{1,2})?")
 
 
 def base_unit(unit: str) -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -78,8 +79,16 @@ def write_mat(store: Store, file: Path) -> None:
 
 
 def matlab_name(name: str) -> str:
-    """A column's name as MATLAB can hold it: ``plant.x0[1]`` becomes ``plant_x0_1``."""
-    return re.sub(r"\W+", "_", name).strip("_")[:LONGEST_NAME]
+    """A column's name as MATLAB can hold it: ``plant.x0[1]`` becomes ``plant_x0_1``.
+
+    Letters lose their accents (``plänt`` becomes ``plant``), other letters and digits beyond ASCII
+    become u and their code point, everything else _; a name that does not begin with a letter gets
+    an x before it.
+    """
+    letters = [c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c)]
+    spelt = "".join(c if c.isascii() or not c.isalnum() else f"u{ord(c):x}" for c in letters)
+    short = re.sub(r"[^A-Za-z0-9_]+", "_", spelt).strip("_")
+    return (short if short[:1].isalpha() else f"x{short}")[:LONGEST_NAME]
 
 
 def _rows(store: Store) -> tuple[dict[str, Any], ...]:

@@ -86,8 +86,16 @@ def certify(design: Design, samples: int = 1000, seed: int = 0) -> Certification
         Random states to try, before local ascents from the worst of them.
     seed : int
         Of the random states.
+
+    Raises
+    ------
+    InvalidInput
+        If the numbers of the design are too large or too small to be searched.
     """
-    return Certification(design, certificate_of(design.loop).search(samples, seed=seed))
+    try:
+        return Certification(design, certificate_of(design.loop).search(samples, seed=seed))
+    except InvalidInput as error:
+        raise InvalidInput(f"{design.name}: {error}") from error
 
 
 def designs_of(file: Path) -> Sequence[Design]:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
+from congelation.errors import InvalidInput
 from congelation.theory.closed_loop import ClosedLoop, Compiled
 
 __all__ = ["Certificate", "Finding", "Margin", "PerturbationSet"]
@@ -203,16 +204,39 @@ class Certificate:
             The worst ones of these from which a local ascent starts.
         seed : int
             Of the random generator.
+
+        Raises
+        ------
+        InvalidInput
+            If parameters are so large or small that nothing is finite.
         """
-        generator = np.random.default_rng(seed)
+        with np.errstate(all="ignore"):  # states whose margin is not finite are left out
+            return self._searched(samples, ascents, np.random.default_rng(seed))
+
+    def _searched(self, samples: int, ascents: int, generator: np.random.Generator) -> Finding:
         points = [self._sample(generator) for _ in range(samples)]
         met = [Encounter(self.at(X, ell), X, ell) for X, ell in points]
         finite = [e for e in met if math.isfinite(e.margin.excess)]
+        if not finite:
+            raise InvalidInput(
+                f"the certificate is not finite at any of {samples} states, because parameters are "
+                f"too large or too small; the most extreme: {self._most_extreme()}"
+            )
         best = sorted(finite, key=Encounter.rank, reverse=True)[:ascents]
         climbed = [self._ascend(e.X, e.ell) for e in best]
         worst = max([*best, *climbed], key=Encounter.rank)
         state = dict(zip(self.loop.state_names, worst.X.tolist(), strict=True))
         return Finding(worst.margin, state, worst.ell, samples, samples - len(finite))
+
+    def _most_extreme(self) -> str:
+        """The parameter or gain with the element whose magnitude is furthest from 1."""
+
+        def distance(value: Vector) -> float:
+            sizes = np.abs(value[value != 0])
+            return float(np.abs(np.log(sizes)).max(initial=0.0))
+
+        name, value = max(self.loop.values.items(), key=lambda item: distance(item[1]))
+        return f"{name} = {value.tolist() if value.size > 1 else value.item()}"
 
     def _sample(self, generator: np.random.Generator) -> tuple[Vector, Vector]:
         models = (self.loop.plant, self.loop.controller)
@@ -231,8 +255,7 @@ class Certificate:
                 return math.inf, np.zeros_like(state)
             return -margin.excess, -slope
 
-        with np.errstate(all="ignore"):  # a trial step of the line search may overflow
-            found = minimize(fall, X, jac=True, method="L-BFGS-B", options=ASCENT)
+        found = minimize(fall, X, jac=True, method="L-BFGS-B", options=ASCENT)
         return Encounter(self.at(found.x, ell), found.x, ell)
 
     @cached_property

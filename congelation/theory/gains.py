@@ -281,9 +281,14 @@ def matched_riccati(
     P = _game_riccati(state, column, constant, rho - lost)
     if P is not None:
         return P
-    enough = lost + 1.0
-    if _game_riccati(state, column, constant, enough - lost) is None:
+    if _game_riccati(state, column, np.eye(n), 1.0) is None:
         raise InfeasibleDesign("the pair (A, B) of the matched plant cannot be stabilised")
+    if rho > lost:
+        raise InfeasibleDesign(
+            "the Riccati equation for P cannot be solved in double precision with "
+            f"rho = {rho:.9g}, epsilon = {epsilon:.9g}, delta = {delta:.9g}, "
+            f"Q = {weight.tolist()}; give values closer together"
+        )
     raise InfeasibleDesign(
         f"rho = {rho:.9g} is infeasible with epsilon = {epsilon:.9g}, delta = {delta:.9g}: the "
         f"Riccati equation has no solution P > 0; valid: any rho > 1/epsilon^2 = {lost:.9g}"
@@ -295,6 +300,11 @@ def _filter_gain(r: float, Q: Matrix, given: str) -> Matrix:
     if X is None:
         n = Q.shape[0]
         least = _rounded_up(smallest_feasible_r(n, Q))
+        if r >= least:
+            raise InfeasibleDesign(
+                f"r = {r:.9g} is too large with {given}, n = {n}, to solve (43) in double "
+                f"precision; give one nearer to the smallest feasible r, {least:.6g}"
+            )
         raise InfeasibleDesign(
             f"r = {r:.9g} is infeasible with {given}, n = {n}: (43) has no solution X > 0; "
             f"the smallest feasible r is {least:.6g}"

@@ -7,6 +7,7 @@ export, the monolithic solution, the certificate, the tests) starts from one.
 from __future__ import annotations
 
 import enum
+import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -278,8 +279,8 @@ def _shaped(name: str, value: object, known: Mapping[str, tuple[int, int]]) -> t
     rows, columns = known[name]
     try:
         numbers = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InvalidInput(f"{name} = {value!r} is not valid; give numbers") from None
+    except (OverflowError, TypeError, ValueError):
+        raise InvalidInput(f"{name} = {reprlib.repr(value)} is not valid; give numbers") from None
     shapes: set[tuple[int, ...]] = {(rows, columns)}
     if columns == 1:
         shapes.add((rows,))
@@ -287,5 +288,5 @@ def _shaped(name: str, value: object, known: Mapping[str, tuple[int, int]]) -> t
         shapes.add(())
     if numbers.shape not in shapes or not np.isfinite(numbers).all():
         size = f"{rows} numbers" if columns == 1 else f"{rows} rows of {columns} numbers"
-        raise InvalidInput(f"{name} = {value!r} is not valid; give {size}")
+        raise InvalidInput(f"{name} = {reprlib.repr(value)} is not valid; give {size}")
     return tuple(float(v) for v in numbers.ravel())

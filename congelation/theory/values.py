@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import reprlib
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from congelation.errors import InvalidInput, nearest
 from congelation.theory.gains import RULES
-from congelation.theory.model import Domain, Model, Parameter
+from congelation.theory.model import Domain, Gain, Model, Parameter
 
 __all__ = ["complete_values"]
 
@@ -50,9 +51,29 @@ def complete_values(model: Model, given: Mapping[str, object] | None = None) -> 
     for gain in model.gains:
         if gain.variables.name not in given:
             arguments = [_argument(parameters[name], values[name]) for name in gain.arguments]
-            found = RULES[gain.rule](*arguments, **gain.constants)
-            values[gain.variables.name] = found.reshape(gain.variables.shape)
+            values[gain.variables.name] = _computed(gain, arguments).reshape(gain.variables.shape)
     return values
+
+
+def _computed(gain: Gain, arguments: Sequence[object]) -> NDArray[np.float64]:
+    """What the rule of a gain finds, or the parameters that it fails with."""
+    try:
+        with np.errstate(all="ignore"):  # a value that is not finite is no solution, see below
+            found = np.asarray(RULES[gain.rule](*arguments, **gain.constants))
+    except InvalidInput:
+        raise
+    except (ArithmeticError, ValueError):  # the second: scipy, of matrices that are not finite
+        found = np.array([np.nan])
+    if np.isfinite(found).all():
+        return found
+    given = ", ".join(
+        f"{name} = {np.asarray(value).tolist()}"
+        for name, value in zip(gain.arguments, arguments, strict=True)
+    )
+    raise InvalidInput(
+        f"{gain.variables.name} cannot be computed from {given}: the numbers leave the range of "
+        "double precision; give values that are neither as large nor as small"
+    )
 
 
 def _argument(parameter: Parameter, value: NDArray[np.float64]) -> object:
@@ -60,7 +81,10 @@ def _argument(parameter: Parameter, value: NDArray[np.float64]) -> object:
 
 
 def _shaped(name: str, value: object, shape: tuple[int, int]) -> NDArray[np.float64]:
-    array = np.asarray(value, dtype=float)
+    try:
+        array = np.asarray(value, dtype=float)
+    except (OverflowError, TypeError, ValueError):
+        raise InvalidInput(f"{name} = {reprlib.repr(value)} is not valid; give numbers") from None
     if array.size != shape[0] * shape[1]:
         raise InvalidInput(f"{name} has {array.size} elements; valid: {shape[0]} x {shape[1]}")
     return array.reshape(shape)

@@ -9,7 +9,7 @@ from pythonfmu.enums import Fmi2Status
 from . import interface, snapshot
 from .exit_guard import guard
 from .integrator import integrate
-from .parameters import ParameterError, bind
+from .parameters import ParameterError, bind, reason
 from .variables import VariableTable
 
 __all__ = ["Block"]
@@ -79,6 +79,12 @@ class Block(VariableTable):
     def _evaluate(self, reference):
         self._settle()
         bound, computed = self._bound, self._computed
+        if bound is None:
+            # A default that depends on where the FMU runs: a table whose file is not there.
+            self._report(
+                f"nothing can be evaluated: {self._faults['parameters']}", Fmi2Status.error
+            )
+            return
         try:
             if reference in _OUTPUTS:
                 group = interface.OUTPUTS
@@ -93,7 +99,11 @@ class Block(VariableTable):
                 return
             computed.update(zip(group, numbers))
         except (ArithmeticError, ValueError) as error:
-            self._report(f"the outputs cannot be evaluated: {error}", Fmi2Status.error)
+            self._report(
+                f"the outputs cannot be evaluated at t = {self._time:.9g}: {reason(error)}; "
+                f"{self._remedy()}",
+                Fmi2Status.error,
+            )
             return
         total = sum(numbers)
         if total * 0.0 != 0.0:
@@ -104,9 +114,18 @@ class Block(VariableTable):
         if lost:
             self._report(
                 f"{', '.join(lost)} left the range of floating-point numbers at "
-                f"t = {self._time:.9g}; the loop diverges: take a smaller communication step",
+                f"t = {self._time:.9g}; {self._remedy()}",
                 Fmi2Status.error,
             )
+
+    def _remedy(self):
+        """What to do about values that leave the range of floating-point numbers."""
+        if self._mode < STEPPING:
+            return "take less extreme parameters, start values or inputs"
+        return (
+            "the loop diverges: take a smaller communication step, or less extreme parameters "
+            "and inputs"
+        )
 
     def _further_outputs(self):
         """Outputs besides those of the equations, as {value reference: value}."""
@@ -192,7 +211,10 @@ class Block(VariableTable):
             try:
                 self._x, self._h = self._advance(current_time, step_size)
             except (ArithmeticError, ValueError) as error:
-                refusal = str(error)
+                refusal = reason(error)
+                # Errors of our own say what to do about them.
+                if type(error) in (OverflowError, ZeroDivisionError, ValueError):
+                    refusal += f"; {self._remedy()}"
         if refusal is not None:
             step = f"the step from t = {current_time:.9g} by {step_size:.9g} is discarded"
             self._report(f"{step}: {refusal}", Fmi2Status.discard)

@@ -17,6 +17,8 @@ MOST_ITERATIONS = 100
 CONVERGED = 1e-14
 # What the solution of a feasible equation leaves, relative to its terms, is rounding.
 LARGEST_RESIDUAL = 1e-8
+# Beyond it the squares in the equations exhaust double precision.
+LARGEST_FEASIBLE = 1e12
 
 
 class Infeasible(ValueError):
@@ -96,10 +98,16 @@ def _scaled(a, factor):
     return [[factor * value for value in row] for row in a]
 
 
+def _inverse_square(value):
+    """1 / value^2, infinite or 0 where a power would raise an error."""
+    return (1.0 / value) * (1.0 / value)
+
+
 def _filter_solution(n, r, epsilon):
     """X of (43) with Q = I / epsilon^2, or None."""
-    g = [[(i == j) * ((i == 0) - 1.0 / r**2) for j in range(n)] for i in range(n)]
-    return riccati(_shift(n), g, _scaled(identity(n), 1.0 / epsilon**2))
+    lost = _inverse_square(r)
+    g = [[(i == 0) - lost if i == j else 0.0 for j in range(n)] for i in range(n)]
+    return riccati(_shift(n), g, _scaled(identity(n), _inverse_square(epsilon)))
 
 
 def iss_filter_gain(r, epsilon, n):
@@ -124,6 +132,11 @@ def _least(feasible, infeasible, width=1e-4):
     """The least number that is feasible, to a relative width, above one that is not."""
     low, high = infeasible, 2.0 * infeasible
     while not feasible(high):
+        if high > LARGEST_FEASIBLE:
+            raise ArithmeticError(
+                f"up to {LARGEST_FEASIBLE:.0e} nothing solves the Riccati equation in double "
+                "precision"
+            )
         low, high = high, 2.0 * high
     while high - low > width * high:
         middle = 0.5 * (low + high)
@@ -169,7 +182,7 @@ def filter_norm(k):
     one = identity(len(k))
 
     def feasible(gain):
-        return riccati(a, _scaled(one, -1.0 / gain**2), one) is not None
+        return riccati(a, _scaled(one, -_inverse_square(gain)), one) is not None
 
     # |A_f^-1| is a lower bound of the norm; a thousandth of |k_n|^-1 is below that.
     return [_least(feasible, 1e-3 / max(1.0, abs(k[-1])), width=1e-9)]
@@ -185,12 +198,16 @@ def matched_riccati(rho, epsilon, delta, damping, Q, A, B):
     ------
     Infeasible
         If there is no P > 0.
+    ArithmeticError
+        If there is one, too large or small to be found.
     """
-    lost = damping / epsilon**2
+    lost = _inverse_square(epsilon) if damping else 0.0
     g = _scaled(product(B, transpose(B)), rho - lost)
-    margin = damping * (epsilon * delta) ** 2
+    margin = (epsilon * delta) * (epsilon * delta) if damping else 0.0
     q = [[value + margin * (i == j) for j, value in enumerate(row)] for i, row in enumerate(Q)]
     p = riccati(transpose(A), g, q)
+    if p is None and (rho > lost or lost == float("inf")):
+        raise ArithmeticError("the Riccati equation cannot be solved in double precision")
     if p is None:
         raise Infeasible(
             f"(rho = {rho:.6g}, epsilon = {epsilon:.6g}) is infeasible: the Riccati equation has "

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from . import interface
 from .block import Block
+from .integrator import StepFailure
 from .parameters import ParameterError
 from .signals import Profile, ProfileError
 
 __all__ = ["Plant"]
+
+# A macro step with more jumps of theta than this is refused, as one of 10^15 s would never end.
+MOST_JUMPS = 10_000
 
 
 class Plant(Block):
@@ -49,7 +53,7 @@ class Plant(Block):
 
     def _advance(self, t, h):
         x, inner, start, now = self._x, self._h, 0.0, t
-        while True:
+        for _ in range(MOST_JUMPS):
             theta, event = self._theta_at(now)
             # A jump at the very end of the step belongs to the next one.
             if event - t >= h:
@@ -57,6 +61,10 @@ class Plant(Block):
             x, inner = self._integrate(t, start, event - t, x, inner, theta)
             # The time of the jump itself, not t + (event - t), which may round to before it.
             start, now = event - t, event
+        raise StepFailure(
+            f"theta jumps more than {MOST_JUMPS} times in the step from t = {t:.9g}; "
+            "take a smaller communication step"
+        )
 
 
 def _joined(formulas, inputs):

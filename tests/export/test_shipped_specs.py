@@ -16,7 +16,7 @@ SPECS = sorted((Path(__file__).resolve().parents[2] / "specs").glob("*.toml"))
 
 @pytest.mark.parametrize("file", SPECS, ids=lambda file: file.stem)
 def test_closed_loop(file, tmp_path):
-    build_fmu.build_spec(file, tmp_path)
+    build_fmu.build_spec(file, read_spec(file), tmp_path)
     spec = read_spec(file)
     measured = spec.controller.model.inputs[0].variables.name
     plant = Component("plant", tmp_path / f"{spec.plant.name}.fmu", {})

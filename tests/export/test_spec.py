@@ -1,6 +1,9 @@
 """Specs: what is read, and what a mistake is told."""
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -25,6 +28,9 @@ start = {x0 = [1, 0]}
 name = "C"
 start = {c = [1, 2]}
 """
+
+# Whole numbers have no bound in TOML as Python reads it.
+HUGE = "1" + 400 * "0"
 
 
 def read(folder, text):
@@ -53,6 +59,21 @@ def test_good(tmp_path):
         ('"theta[1]"', '"theta[2]"', "plant.profile.theta.2. is not known"),
         ("{constant = 1}", "{constnat = 1}", "constnat"),
         ("[structure]", "[structur]", "structur is not known"),
+        ('name = "C"', 'name = "p"', "controller.name = 'p' is the plant's too"),
+        ("c = [1, 2]", "epsilon = 1e-300", "controller.start: epsilon = 1e-300 cannot be used"),
+        (
+            "c = [1, 2]",
+            "c = [1, 2], delta = 1e300",
+            ": delta = 1e.300 cannot be used: .* would not be finite",
+        ),
+        ("c = [1, 2]", f"c = [1, {HUGE}]", "controller.start: c = .1, 1000.* is not valid"),
+        ("x0 = [1, 0]", f"x0 = [{HUGE}, 0]", "plant.start: x0 = .* is not valid"),
+        ("constant = 1", f"constant = {HUGE}", "must be a finite number"),
+        ('"1,1" = [1]', f'"1,1" = [{HUGE}]', "structure.phibar.1,1 .* 1 numbers"),
+        ("n = 2", f"n = {HUGE}", "structure.n .* a whole number up to 100"),
+        ("p = 1", "p = 1000000", "structure.p = 1000000 .* a whole number up to 100"),
+        ("p = 1", f"p = {'1' * 5000}", "not valid TOML"),
+        ("[plant]", f'[units]\nu = "deg{HUGE}"\n[plant]', "is no unit"),
     ],
 )
 def test_mistakes(tmp_path, old, new, message):
@@ -73,6 +94,60 @@ def test_infeasible_gains_are_refused(tmp_path, capsys):
     assert build_fmu.main(["--spec", str(file), "--out", str(tmp_path)]) == 2
     assert "the smallest feasible r is 10.0499" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.fmu"))
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        ("r = 1e300, epsilon = 0.3", "k cannot be computed from r = 1e.300, epsilon = 0.3"),
+        ("r = 1e20, epsilon = 0.3", "too large .* nearer to the smallest feasible r, 3.4"),
+        ("r = 5, epsilon = 1e-300", "k cannot be computed from r = 5.0, epsilon = 1e-300"),
+    ],
+)
+def test_gains_out_of_reach_are_one_line(tmp_path, start, message):
+    text = (ROOT / "specs" / "output_feedback.toml").read_text("utf-8")
+    changed = re.sub(r"r = 5, epsilon = [0-9.]+", start, text)
+    assert changed != text
+    with pytest.raises(InvalidInput, match=message) as caught:
+        read(tmp_path, changed)
+    assert "\n" not in str(caught.value)
+
+
+def test_two_specs_of_equal_names_are_refused(tmp_path, capsys):
+    file = str(ROOT / "specs" / "scalar.toml")
+    assert build_fmu.main(["--spec", file, "--spec", file, "--out", str(tmp_path)]) == 2
+    assert "'ScalarPlant' is an FMU of" in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.fmu"))
+
+
+def test_a_place_that_takes_no_files_is_one_line(tmp_path, capsys):
+    spec = str(ROOT / "specs" / "scalar.toml")
+    (tmp_path / "file").touch()
+    for place in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/x")):
+        assert build_fmu.main(["--spec", spec, "--out", str(place)]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert line.startswith(f"build_fmu.py: --out {place}: no files can be written there")
+
+
+def test_a_foreign_manifest_is_one_line(tmp_path, capsys):
+    (tmp_path / "manifest.json").write_text("[]")
+    spec = str(ROOT / "specs" / "scalar.toml")
+    assert build_fmu.main(["--spec", spec, "--out", str(tmp_path)]) == 2
+    assert "manifest.json was not written by build_fmu.py" in capsys.readouterr().err
+
+
+def test_a_python_without_the_packages_is_told_what_to_do():
+    """-S leaves out what is installed, as a system's Python would be without it."""
+    done = subprocess.run(
+        [sys.executable, "-S", str(ROOT / "build_fmu.py")],
+        env={"PATH": os.environ["PATH"]},
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert "has no module '" in line
+    assert "make fmus" in line
 
 
 def test_command(tmp_path, capsys):

@@ -10,6 +10,7 @@ import textwrap
 from pathlib import Path
 
 import build_fmu
+from congelation.export.spec import read_spec
 from tests.fmus.instance import FMUS, loaded
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -66,7 +67,7 @@ def test_two_builds_of_different_content(tmp_path):
         folder.mkdir()
         spec = folder / "twin.toml"
         spec.write_text(SPEC.format(sign=sign))
-        build_fmu.build_spec(spec, folder)
+        build_fmu.build_spec(spec, read_spec(spec), folder)
         paths.append(folder / "Twin.fmu")
     slopes = []
     with loaded(paths[0]) as (one,), loaded(paths[1]) as (two,):
@@ -80,7 +81,7 @@ def test_two_builds_of_different_content(tmp_path):
 def test_builds_are_reproducible(tmp_path):
     spec = ROOT / "specs" / "state_feedback.toml"
     for folder in ("a", "b"):
-        build_fmu.build_spec(spec, tmp_path / folder)
+        build_fmu.build_spec(spec, read_spec(spec), tmp_path / folder)
     for name in ("StrictFeedbackPlant.fmu", "StateFeedbackController.fmu"):
         one, two = ((tmp_path / folder / name).read_bytes() for folder in ("a", "b"))
         assert one == two == (FMUS / name).read_bytes()
