@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -41,6 +42,17 @@ def test_ls_reads_a_directory_whose_sweep_is_not_done(out: Path, tmp_path: Path)
     Store(tmp_path).create()
     Store(tmp_path).write(row)
     assert congelation("ls", tmp_path).stdout.splitlines()[1].startswith(row["run_id"])
+
+
+def test_a_front_of_no_run_is_one_line(out: Path, tmp_path: Path) -> None:
+    row = Store(out).rows()[1]
+    assert row["settling_x"] == math.inf
+    Store(tmp_path).create()
+    Store(tmp_path).write(row)
+    Store(tmp_path).compact([row["run_id"]], Store(out).read().about)
+    done = congelation("report", tmp_path, "--pareto", "settling_x", "--pareto", "peak_x")
+    assert one_line(done, 2).endswith(": no run has finite settling_x and peak_x")
+    assert not (tmp_path / "figures").exists()
 
 
 def test_show_finds_a_run_by_its_first_digits(out: Path) -> None:

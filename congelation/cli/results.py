@@ -55,7 +55,10 @@ def report(
         header = [", ".join(by), *summary.columns]
         print(aligned(header, [[label, *cells] for label, cells in summary.lines]))
     if pareto:
-        _print_rows(pareto_front(store.read(), pareto))
+        front = pareto_front(store.read(), pareto)
+        if not front:
+            raise InvalidInput(f"{folder}: no run has finite {' and '.join(pareto)}")
+        _print_rows(front)
         if len(pareto) == 2:
             for file in save(draw_front(store.read(), pareto), store.root / "figures", "pareto"):
                 print(file)

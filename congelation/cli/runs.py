@@ -131,7 +131,7 @@ def sweep(
         raise typer.Exit(INTERRUPTED) from error
     print_summary(Store(folder))
     print(Store(folder).index)
-    _tell_failures(Store(folder).read().rows)
+    _tell_failures(scenario, Store(folder).read().rows)
 
 
 def export_ssp(
@@ -177,7 +177,7 @@ def _announce(plan: Plan, place: Workers, folder: Path, *, measured: bool) -> No
         print(f"no estimate: {error}", flush=True)
 
 
-def _tell_failures(rows: Sequence[Row]) -> None:
+def _tell_failures(scenario: Path, rows: Sequence[Row]) -> None:
     """Say how many runs failed, and how; raise InvalidInput if not one could begin."""
     failed = [row for row in rows if row["status"] != Status.COMPLETED.name]
     if not failed:
@@ -186,7 +186,7 @@ def _tell_failures(rows: Sequence[Row]) -> None:
     counts = ", ".join(f"{count} {status}" for status, count in kinds.most_common())
     complain(f"{len(failed)} of {len(rows)} runs failed ({counts})")
     if kinds[REFUSED] == len(rows):
-        raise InvalidInput(str(failed[0]["message"]))
+        raise InvalidInput(f"{scenario}: {failed[0]['message']}")
 
 
 def _run_with_progress(scenario: Scenario, folder: Path, verify: bool) -> Store:

@@ -49,7 +49,7 @@ Settings = Mapping[str, Scalar]
 Floats = npt.NDArray[np.float64]
 
 MOST_RUNS = 2**20
-"""Of each variant: the plan of so many takes a gigabyte, and doing them days."""
+"""Of each variant: the plan of so many takes half a gigabyte and some minutes."""
 
 EXACT = 2.0**53
 """Up to here every whole number is a float."""
