@@ -31,7 +31,7 @@ PHASES = (
     ("congelation.cosim.slave", "Slave.__init__", "instantiating the FMUs"),
     ("congelation.cosim.slave", "Slave.reset", "resetting the FMUs"),
     ("congelation.cosim.session", "Session.initialise", "initialising the FMUs"),
-    ("congelation.study.execute", "_measure", "metrics"),
+    ("congelation.study.execute", "measure", "metrics"),
     ("congelation.study.store", "Store.write", "writing the row"),
     RUN,
 )

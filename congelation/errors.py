@@ -43,7 +43,9 @@ class SlaveError(CongelationError):
     """
 
     def __init__(self, component: str, time: float, message: str) -> None:
-        super().__init__(f"{component} at t = {time:.9g}: {message}")
+        # An FMU may begin with its own name, for tools that do not say whose message it is.
+        own = message.removeprefix(f"{component}: ")
+        super().__init__(f"{component} at t = {time:.9g}: {own}")
         self.component = component
         self.time = time
         self.message = message

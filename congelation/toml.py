@@ -17,6 +17,9 @@ T = TypeVar("T")
 
 TIME_UNITS: Mapping[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0, "h": 3600.0}
 
+LARGEST_INTEGER = 2**63 - 1
+"""What TOML promises to keep, and result files can hold."""
+
 
 @dataclass(frozen=True)
 class Section:
@@ -139,14 +142,17 @@ class Section:
         unit = quantity.text("unit")
         if unit not in TIME_UNITS:
             raise quantity.error("unit", f"= '{unit}' is no time; {nearest(unit, TIME_UNITS)}")
-        return quantity.number("value") * TIME_UNITS[unit]
+        seconds = quantity.number("value") * TIME_UNITS[unit]
+        if not math.isfinite(seconds):
+            raise self.wrong(key, "a time that is finite in seconds")
+        return seconds
 
-    def positive(self, key: str) -> float:
-        """The positive number under `key`."""
-        value = self.number(key, "a positive number")
-        if value <= 0.0:
-            raise self.wrong(key, "a positive number")
-        return value
+    def duration(self, key: str) -> float:
+        """The positive time under `key`."""
+        seconds = self.seconds(key)
+        if seconds <= 0.0:
+            raise self.wrong(key, "a positive time")
+        return seconds
 
     def integer(self, key: str, default: int | None = None) -> int:
         """The whole number under `key`, or `default`; an error if neither is given."""
@@ -157,6 +163,8 @@ class Section:
         value = self.data[key]
         if isinstance(value, bool) or not isinstance(value, int):
             raise self.wrong(key, "a whole number")
+        if abs(value) > LARGEST_INTEGER:
+            raise self.wrong(key, "a whole number of at most 64 bits")
         return value
 
     def boolean(self, key: str, default: bool) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,9 @@ def test_ls_has_one_line_per_run_with_settings_status_and_metrics(out: Path) -> 
     assert lines[0].split() == header
     assert [line.split()[0] for line in lines[1:]] == [row["run_id"] for row in Store(out).rows()]
     assert "COMPLETED" in lines[1]
-    assert congelation("ls", out, "--status", "DIVERGED").stdout == "no runs\n"
+    assert congelation("ls", out, "--status", "diverged").stdout == "no runs\n"
+    line = one_line(congelation("ls", out, "--status", "NOPE"), 2)
+    assert line.startswith("congelation: 'NOPE' is no status; valid: COMPLETED, ")
 
 
 def test_ls_reads_a_directory_whose_sweep_is_not_done(out: Path, tmp_path: Path) -> None:
@@ -39,6 +42,17 @@ def test_ls_reads_a_directory_whose_sweep_is_not_done(out: Path, tmp_path: Path)
     Store(tmp_path).create()
     Store(tmp_path).write(row)
     assert congelation("ls", tmp_path).stdout.splitlines()[1].startswith(row["run_id"])
+
+
+def test_a_front_of_no_run_is_one_line(out: Path, tmp_path: Path) -> None:
+    row = Store(out).rows()[1]
+    assert row["settling_x"] == math.inf
+    Store(tmp_path).create()
+    Store(tmp_path).write(row)
+    Store(tmp_path).compact([row["run_id"]], Store(out).read().about)
+    done = congelation("report", tmp_path, "--pareto", "settling_x", "--pareto", "peak_x")
+    assert one_line(done, 2).endswith(": no run has finite settling_x and peak_x")
+    assert not (tmp_path / "figures").exists()
 
 
 def test_show_finds_a_run_by_its_first_digits(out: Path) -> None:
@@ -53,6 +67,9 @@ def test_show_finds_a_run_by_its_first_digits(out: Path) -> None:
 
 def test_a_run_that_does_not_exist_is_one_line(out: Path, tmp_path: Path) -> None:
     assert "has no run 'zzz'" in one_line(congelation("show", out, "zzz"), 2)
+    assert "is no result directory" in one_line(congelation("show", tmp_path / "none", "a"), 2)
+    Store(tmp_path / "empty").create()
+    assert "empty has no runs" in one_line(congelation("show", tmp_path / "empty", "a"), 2)
     assert "2 runs begin with ''" in one_line(congelation("show", out, ""), 2)
     assert "is no result directory" in one_line(congelation("ls", tmp_path / "none"), 2)
     assert "give --csv FOLDER or --mat FILE" in one_line(congelation("export", out), 2)

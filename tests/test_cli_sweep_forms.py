@@ -90,6 +90,27 @@ def test_a_run_that_hangs_is_ended_and_the_rest_goes_on(tmp_path: Path) -> None:
     assert found[2.0]["message"] == "The run took longer than 2 s; see sweep.timeout."
 
 
+def test_a_pilot_that_hangs_is_ended(tmp_path: Path) -> None:
+    install(tmp_path, "hang", HANG)
+    axis = '[sweep]\ntimeout = 1\n[[sweep.axes]]\nset = "plant.x0"\nvalues = [2]\n'
+    metric = '[metrics]\nh = {metric = "hang", of = "plant.x"}'
+    file = write(tmp_path, SCALAR + axis, ("[metrics]", metric))
+    done = sweep(file, tmp_path / "out", "--dry-run", timeout=30, env=environment(tmp_path))
+    assert done.returncode == 0, done.stderr
+    last = done.stdout.splitlines()[-1]
+    assert last == "no estimate: a pilot run did not return, or killed its worker"
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_pilot_that_takes_too_long_is_ended(tmp_path: Path) -> None:
+    text = SCALAR + TINY.replace("[sweep]", "[sweep]\ntimeout = 0.3")
+    file = write(tmp_path, text, ("stop_time = 1.0", "stop_time = 1e6"))
+    done = sweep(file, tmp_path / "out", "--dry-run", timeout=30)
+    assert done.returncode == 0, done.stderr
+    last = done.stdout.splitlines()[-1]
+    assert last.startswith("no estimate: of a pilot run: The run took longer than 0.3 s")
+
+
 def test_a_long_run_is_ended_between_its_steps(tmp_path: Path) -> None:
     text = SCALAR + TINY.replace("[sweep]", "[sweep]\ntimeout = {value = 300, unit = 'ms'}")
     file = write(tmp_path, text, ("stop_time = 1.0", "stop_time = 1e5"))

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from congelation.study.batch import plan_sweep
 from congelation.study.scenario_file import load_scenario
 from congelation.study.store import Store
+from congelation.study.sweep_plan import plan_sweep
 from tests.study.scenarios import SCALAR, write
 from tests.test_cli import one_line
 from tests.test_cli_sweep import (

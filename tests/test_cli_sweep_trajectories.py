@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from congelation.study import pilot as pilots
-from congelation.study.batch import plan_sweep
 from congelation.study.pilot import pilot
 from congelation.study.scenario_file import load_scenario
 from congelation.study.store import Store
+from congelation.study.sweep_plan import plan_sweep
 from tests.study.scenarios import SCALAR, write
 from tests.test_cli_sweep import environment, install, rows, sweep
 

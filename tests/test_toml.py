@@ -18,6 +18,10 @@ flag = true
 huge = inf
 names = ["a", "b"]
 mixed = ["a", 1]
+vast = 1{zeros}
+large = 9223372036854775808
+never = {value = 1e308, unit = "h"}
+none = 0
 time = {value = 20, unit = "ms"}
 year = {value = 1, unit = "sec"}
 half = {value = 1}
@@ -27,7 +31,7 @@ key = -1.5
 name = "first"
 [[list]]
 nmae = "second"
-"""
+""".replace("{zeros}", "0" * 400)
 
 
 @pytest.fixture
@@ -43,7 +47,7 @@ def test_values_are_read(document: Section) -> None:
     assert document.texts("names") == ("a", "b")
     assert document.texts("absent") == ()
     assert document.seconds("number") == 3.0
-    assert document.seconds("time") == 0.02
+    assert document.seconds("time") == document.duration("time") == 0.02
     assert document.section("table").number("key") == -1.5
     assert dict(document.section("absent").data) == {}
     assert [s.path for s in document.sections("list")] == ["list[1]", "list[2]"]
@@ -58,6 +62,10 @@ def test_values_are_read(document: Section) -> None:
         (lambda d: d.number("flag"), "a.toml: flag = true is not valid; give a number"),
         (lambda d: d.number("huge"), "a.toml: huge = inf is not valid; give a number"),
         (lambda d: d.number("absent"), "a.toml: absent is missing; give a number"),
+        (lambda d: d.number("vast"), "a.toml: vast = 1000"),
+        (lambda d: d.integer("large"), "a.toml: large = 9223372036854775808 is not valid; give a"),
+        (lambda d: d.seconds("never"), "a.toml: never = {'value': 1e+308, 'unit': 'h'} is not"),
+        (lambda d: d.duration("none"), "a.toml: none = 0 is not valid; give a positive time"),
         (lambda d: d.section("title"), "a.toml: title = 'A title' is not valid; give a table"),
         (
             lambda d: d.texts("mixed"),
@@ -112,6 +120,12 @@ def test_unreadable_files(tmp_path: Path) -> None:
         read_document(tmp_path / "fig22.toml")
     with pytest.raises(InvalidInput, match=r"fig2\.toml: not valid TOML: .* line 1"):
         read_document(tmp_path / "fig2.toml")
+    (tmp_path / "digits.toml").write_text(f"number = 1{'0' * 5000}")
+    (tmp_path / "deep.toml").write_text(f"list = {'[' * 5000}")
+    with pytest.raises(InvalidInput, match=r"digits\.toml: not valid TOML: .* digits"):
+        read_document(tmp_path / "digits.toml")
+    with pytest.raises(InvalidInput, match=r"deep\.toml: not valid TOML: "):
+        read_document(tmp_path / "deep.toml")
     with pytest.raises(InvalidInput, match=r"latin\.toml: cannot be read as UTF-8 text"):
         read_document(tmp_path / "latin.toml")
     with pytest.raises(InvalidInput, match="cannot be read as UTF-8 text"):

@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-from congelation.cli.shared import print_figures, print_summary
+from congelation.cli.shared import as_status, print_figures, print_summary
+from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
 from congelation.places import check_file, check_folder
 from congelation.report.exchange import write_csv, write_mat
@@ -19,6 +20,7 @@ from congelation.report.summary import number, summarise_groups
 from congelation.report.table import aligned
 from congelation.study.records import metrics_of, settings_of
 from congelation.study.store import Store
+from congelation.study.sweep_plan import FAILURES
 
 __all__ = ["export", "ls", "report", "show"]
 
@@ -53,7 +55,10 @@ def report(
         header = [", ".join(by), *summary.columns]
         print(aligned(header, [[label, *cells] for label, cells in summary.lines]))
     if pareto:
-        _print_rows(pareto_front(store.read(), pareto))
+        front = pareto_front(store.read(), pareto)
+        if not front:
+            raise InvalidInput(f"{folder}: no run has finite {' and '.join(pareto)}")
+        _print_rows(front)
         if len(pareto) == 2:
             for file in save(draw_front(store.read(), pareto), store.root / "figures", "pareto"):
                 print(file)
@@ -72,7 +77,11 @@ def ls(
     ] = None,
 ) -> None:
     """List the runs of a result directory, also while a sweep writes into it."""
-    _print_rows([row for row in _store(folder).rows() if status in (None, row["status"])])
+    wanted = None if status is None else as_status(status)
+    known = (Status.COMPLETED.name, *FAILURES)
+    if wanted is not None and wanted not in known:
+        raise InvalidInput(f"'{status}' is no status; valid: {', '.join(known)}")
+    _print_rows([row for row in _store(folder).rows() if wanted in (None, row["status"])])
 
 
 def show(

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -12,19 +13,29 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from congelation.cli.progress import Form, shown
-from congelation.cli.shared import FAILED, INTERRUPTED, complain, print_figures, print_summary
+from congelation.cli.shared import (
+    FAILED,
+    INTERRUPTED,
+    as_status,
+    complain,
+    print_figures,
+    print_summary,
+)
 from congelation.cosim.result import Status
 from congelation.errors import CongelationError, InvalidInput
-from congelation.study.batch import Plan, plan_sweep, run_sweep
+from congelation.study.batch import run_sweep
 from congelation.study.estimate import estimate
 from congelation.study.executors import Cluster, Processes, Workers
+from congelation.study.records import Row
 from congelation.study.run import run_scenario
 from congelation.study.scenario import Scenario
 from congelation.study.scenario_file import load_scenario
 from congelation.study.shipping import cargo_of
 from congelation.study.ssp import read_ssp, write_ssp
 from congelation.study.store import Store
+from congelation.study.sweep_plan import Plan, plan_sweep
 from congelation.study.verify import LARGEST_DEVIATION
+from congelation.study.workers import REFUSED
 
 __all__ = ["export_ssp", "run", "sweep"]
 
@@ -105,7 +116,7 @@ def sweep(
         raise InvalidInput("give --workers or --scheduler, not both")
     if ship and scheduler is None:
         raise InvalidInput("--ship needs a --scheduler to send FMUs to; processes here have them")
-    again = [status.upper().replace("-", "_") for status in retry or ()]
+    again = [as_status(status) for status in retry or ()]
     plan = plan_sweep(_read(scenario), folder, resume=bool(resume or dry_run or again), retry=again)
     place = _place(plan, workers or 1, scheduler, ship=ship)
     try:
@@ -115,11 +126,12 @@ def sweep(
         with shown(plan, progress) as listener:
             run_sweep(plan, workers=place, progress=listener)
     except KeyboardInterrupt as error:
-        done = len(plan.shared.store.finished())
-        complain(f"interrupted after {done} of {len(plan.run_ids)} runs; go on with --resume")
+        total = len(plan.run_ids)
+        complain(f"interrupted after {plan.finished} of {total} runs; go on with --resume")
         raise typer.Exit(INTERRUPTED) from error
     print_summary(Store(folder))
     print(Store(folder).index)
+    _tell_failures(scenario, Store(folder).read().rows)
 
 
 def export_ssp(
@@ -153,6 +165,8 @@ def _place(plan: Plan, workers: int, scheduler: str | None, *, ship: bool) -> Wo
 def _announce(plan: Plan, place: Workers, folder: Path, *, measured: bool) -> None:
     """Say how many runs there are, and what those missing will take."""
     print(f"{len(plan.run_ids)} runs, {len(plan.missing)} of them to do in {folder}")
+    if plan.others:
+        print(f"{plan.others} runs there are of another state of the scenario, and not listed")
     if not (measured and plan.missing):
         return
     try:
@@ -161,6 +175,18 @@ def _announce(plan: Plan, place: Workers, folder: Path, *, measured: bool) -> No
         raise
     except CongelationError as error:
         print(f"no estimate: {error}", flush=True)
+
+
+def _tell_failures(scenario: Path, rows: Sequence[Row]) -> None:
+    """Say how many runs failed, and how; raise InvalidInput if not one could begin."""
+    failed = [row for row in rows if row["status"] != Status.COMPLETED.name]
+    if not failed:
+        return
+    kinds = Counter(str(row["status"]) for row in failed)
+    counts = ", ".join(f"{count} {status}" for status, count in kinds.most_common())
+    complain(f"{len(failed)} of {len(rows)} runs failed ({counts})")
+    if kinds[REFUSED] == len(rows):
+        raise InvalidInput(f"{scenario}: {failed[0]['message']}")
 
 
 def _run_with_progress(scenario: Scenario, folder: Path, verify: bool) -> Store:

@@ -17,6 +17,7 @@ __all__ = [
     "BAD_INPUT",
     "FAILED",
     "INTERRUPTED",
+    "as_status",
     "complain",
     "print_figures",
     "print_summary",
@@ -32,6 +33,11 @@ LABEL_WIDTH, COLUMN_WIDTH = 28, 16
 def complain(text: str) -> None:
     """One line on stderr."""
     print(f"congelation: {' '.join(text.split())}", file=sys.stderr)
+
+
+def as_status(text: str) -> str:
+    """The name of a status as the command line may write it: timed-out, TIMED_OUT."""
+    return text.upper().replace("-", "_")
 
 
 def print_table(

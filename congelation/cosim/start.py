@@ -141,9 +141,12 @@ def _typed(variable: Variable, value: object, place: str) -> float | int | bool 
         return value
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if variable.type == "Real" and is_number:
-        number = float(value)  # type: ignore[arg-type]  # narrowed by is_number
-        if math.isnan(number):
-            raise InvalidInput(f"{place}: nan is no value; give a number")
+        try:
+            number = float(value)  # type: ignore[arg-type]  # narrowed by is_number
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            raise InvalidInput(f"{place}: {number} is no value; give a finite number")
         return number
     raise InvalidInput(f"{place}: {value!r} given, {_WANTED[variable.type]} needed")
 

@@ -10,35 +10,19 @@ from __future__ import annotations
 
 import itertools
 from collections import deque
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 from congelation.cosim.result import Status
-from congelation.errors import InvalidInput
 from congelation.study.execute import lost_row
 from congelation.study.executors import Processes, Workers
-from congelation.study.plan import plan_run, varied_settings
-from congelation.study.provenance import about
-from congelation.study.scenario import Scenario
 from congelation.study.store import Store
-from congelation.study.sweep import Sweep
-from congelation.study.workers import REFUSED, TIMED_OUT, Done, Task, Work, work
+from congelation.study.sweep_plan import WORKER_DIED, Plan, write_index
+from congelation.study.workers import Done, Task, Work, work
 
-__all__ = ["FAILURES", "WORKER_DIED", "Plan", "Tally", "plan_sweep", "run_sweep"]
-
-WORKER_DIED = "WORKER_DIED"
-"""Status of a run that ended its worker process twice."""
-
-FAILURES = (
-    *(status.name for status in Status if status is not Status.COMPLETED),
-    REFUSED,
-    TIMED_OUT,
-    WORKER_DIED,
-)
-"""How a run may end other than at its stop time."""
+__all__ = ["Tally", "run_sweep"]
 
 CHUNK = 16
 """Most runs per task: a task costs about a millisecond, and a dead worker's chunk is done again."""
@@ -73,84 +57,10 @@ Progress = Callable[[Tally], None]
 """Called whenever some runs are done."""
 
 
-@dataclass(frozen=True)
-class Plan:
-    """A sweep to do: all run_ids, in order, and the tasks that the store does not hold yet."""
-
-    scenario: Scenario
-    shared: Work
-    run_ids: tuple[str, ...]
-    missing: tuple[Task, ...]
-
-
-def plan_sweep(
-    scenario: Scenario, folder: Path, *, resume: bool, retry: Collection[str] = ()
-) -> Plan:
-    """The runs of a sweep, every variant at every point, each content once.
-
-    Parameters
-    ----------
-    scenario : Scenario
-    folder : Path
-        The result directory.
-    resume : bool
-        Whether the directory may have runs, which are not done again.
-    retry : collection of str
-        Those of `FAILURES` that are done again nevertheless.
-
-    Raises
-    ------
-    InvalidInput
-        If the scenario has no sweep, the directory has runs and `resume` is false, or there is no
-        such status.
-    """
-    for status in retry:
-        if status not in FAILURES:
-            raise InvalidInput(f"'{status}' is no status to retry; valid: {', '.join(FAILURES)}")
-    sweep = scenario.sweep
-    if sweep is None:
-        raise InvalidInput(f"{scenario.file}: no [sweep]; give its axes, or use: congelation run")
-    store = Store(folder.absolute())
-    done = store.finished()
-    if done and not resume:
-        raise InvalidInput(
-            f"{folder} holds {len(done)} finished runs; give --resume to go on, or another --out"
-        )
-    if next(sweep.points(), None) is None:
-        raise InvalidInput(f"{scenario.file}: sweep.constraints leave no point")
-    varied = varied_settings(scenario, sweep.names())
-    tasks = {task.run_id: task for task in _tasks(scenario, sweep, varied)}
-    missing = (_missing(task, store, done, retry) for task in tasks.values())
-    light = replace(scenario, sweep=None, text="")
-    shared = Work(light, store, varied, sweep.trajectories, sweep.seed, sweep.timeout)
-    return Plan(scenario, shared, tuple(tasks), tuple(task for task in missing if task))
-
-
-def _tasks(scenario: Scenario, sweep: Sweep, varied: Sequence[str]) -> Iterator[Task]:
-    """Every variant at every point, as often as it is repeated."""
-    repetitions = tuple(sweep.repetitions())
-    for point, (replicate, seeds) in itertools.product(sweep.points(), repetitions):
-        for variant in scenario.variants:
-            settings = {**variant.settings, **point, **seeds}
-            run_id = plan_run(scenario, variant.name, settings, varied).run_id
-            yield Task(run_id, variant.name, settings, replicate)
-
-
-def _missing(
-    task: Task, store: Store, done: Collection[str], retry: Collection[str]
-) -> Task | None:
-    """The task, if it is to be done."""
-    if task.run_id not in done:
-        return task
-    if retry and store.row(task.run_id)["status"] in retry:
-        return replace(task, replaces=store.written(task.run_id))
-    return None
-
-
 def run_sweep(
     plan: Plan, *, workers: Workers | None = None, progress: Progress | None = None
 ) -> Store:
-    """Do what is missing of a sweep, and index everything that the directory holds.
+    """Do what is missing of a sweep, and index its runs.
 
     Parameters
     ----------
@@ -171,12 +81,14 @@ def run_sweep(
     place = workers if workers is not None else Processes()
     counts = _Counts(plan, progress)
     waiting = deque(plan.missing)
+    if plan.others:
+        write_index(plan)  # so that nobody takes them for runs of this sweep meanwhile
     try:
         while waiting:
             lost = _together(shared, waiting, place, counts)
             _one_by_one(shared, lost, place, counts)
     finally:
-        _index(plan)
+        write_index(plan)
     return store
 
 
@@ -212,7 +124,7 @@ class _Counts:
         if self._progress is not None:
             self._progress(self._tally)
         if self._index_at <= self._tally.done < self._tally.total:
-            _index(self._plan)
+            write_index(self._plan)
             self._index_at = INDEX_GROWTH * self._tally.done
 
 
@@ -293,15 +205,3 @@ def _died(shared: Work, task: Task) -> dict[str, Any]:
     run = task.run(shared)
     message = "The worker process died twice in this run; an FMU may have crashed it."
     return lost_row(run, shared.scenario, WORKER_DIED, message)
-
-
-def _index(plan: Plan) -> None:
-    """Write runs.parquet: the plan's finished runs in order, then others of the directory."""
-    store = plan.shared.store
-    done = store.finished()
-    ordered = [run_id for run_id in plan.run_ids if run_id in done]
-    others = sorted(done.difference(plan.run_ids))
-    if done:
-        described = about(plan.scenario, plan.shared.varied)
-        sweep = {"planned": len(plan.run_ids), "seed": plan.shared.seed}
-        store.compact([*ordered, *others], {**described, "sweep": sweep, "verification": {}})

@@ -17,12 +17,24 @@ from congelation.errors import InvalidInput, nearest
 
 __all__ = ["Constraint"]
 
+DEEPEST = 100
+"""Operations inside each other: Python's own stack ends a few hundred further down."""
+
+
+SHOWN = 60
+"""Characters of a long constraint that a message quotes."""
+
+
+def _power(base: float, exponent: float) -> Any:
+    return float(base) ** float(exponent)  # a whole number may take for ever, a float overflows
+
+
 _ARITHMETIC: Mapping[type[ast.AST], Callable[..., Any]] = {
     ast.Add: operator.add,
     ast.Sub: operator.sub,
     ast.Mult: operator.mul,
     ast.Div: operator.truediv,
-    ast.Pow: operator.pow,
+    ast.Pow: _power,
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
     ast.Not: operator.not_,
@@ -56,6 +68,8 @@ class Constraint:
     text: str
 
     def __post_init__(self) -> None:
+        if _depth(self._tree) > DEEPEST:
+            raise InvalidInput(self._too_long())
         for node in ast.walk(self._tree):
             if not _is_known(node):
                 raise InvalidInput(f"'{self.text}': '{ast.unparse(node)}' has no meaning here")
@@ -79,7 +93,7 @@ class Constraint:
         """
         try:
             return bool(_value(self._tree, settings))
-        except (ArithmeticError, TypeError) as error:
+        except (ArithmeticError, MemoryError, TypeError, ValueError) as error:
             raise InvalidInput(f"'{self.text}' cannot be evaluated: {error}") from error
 
     @cached_property
@@ -88,6 +102,20 @@ class Constraint:
             return ast.parse(self.text.strip(), mode="eval").body
         except SyntaxError as error:
             raise InvalidInput(f"'{self.text}' is no comparison: {error.msg}") from error
+        except (RecursionError, MemoryError) as error:  # of Python's parser
+            raise InvalidInput(self._too_long()) from error
+
+    def _too_long(self) -> str:
+        start = self.text if len(self.text) <= SHOWN else f"{self.text[:SHOWN]}.."
+        return f"'{start}' has more than {DEEPEST} operations inside each other; use several"
+
+
+def _depth(tree: ast.AST) -> int:
+    """How many nodes lie inside each other, counted without recursion."""
+    depth, level = 0, [tree]
+    while level:
+        depth, level = depth + 1, [child for node in level for child in ast.iter_child_nodes(node)]
+    return depth
 
 
 def _is_known(node: ast.AST) -> bool:

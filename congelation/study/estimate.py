@@ -7,9 +7,9 @@ from concurrent.futures import BrokenExecutor
 from dataclasses import dataclass
 
 from congelation.errors import CongelationError
-from congelation.study.batch import Plan
 from congelation.study.executors import Workers
 from congelation.study.pilot import Pilot, pilot
+from congelation.study.sweep_plan import Plan
 
 __all__ = ["Estimate", "estimate"]
 
@@ -50,7 +50,8 @@ def estimate(plan: Plan, workers: Workers) -> Estimate:
     Raises
     ------
     CongelationError
-        If there is nothing to measure, or a run cannot begin or kills its worker.
+        If there is nothing to measure, or a run cannot begin, takes longer than it may or kills
+        its worker.
     """
     if not plan.missing:
         raise CongelationError("nothing is missing")
@@ -61,7 +62,7 @@ def estimate(plan: Plan, workers: Workers) -> Estimate:
         try:
             measured = crew.executor.submit(pilot, plan.shared, tasks).result()
         except BrokenExecutor as error:
-            raise CongelationError("a pilot run killed its worker") from error
+            raise CongelationError("a pilot run did not return, or killed its worker") from error
         except CongelationError as error:
             raise CongelationError(f"of a pilot run: {error}") from error
         size = crew.size

@@ -7,13 +7,13 @@ from typing import Any
 
 from congelation.cosim.description import describe
 from congelation.cosim.master import simulate
+from congelation.cosim.output import Output
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.result import Result
 from congelation.study.identity import code_version
-from congelation.study.metrics import metric
+from congelation.study.measure import Points, measure
 from congelation.study.plan import Run
 from congelation.study.records import Trajectory
-from congelation.study.scenario import Case, MetricSpec, Scenario
+from congelation.study.scenario import Scenario
 
 __all__ = ["execute", "lost_row"]
 
@@ -44,6 +44,9 @@ def execute(
         Everything recorded up to the point where the run ended.
     """
     experiment = run.case.experiment
+    output = experiment.output
+    points = Points(scenario.measured)
+    apart = output is not None and bool(scenario.metrics)
     result = simulate(
         run.case.system,
         start_time=experiment.start_time,
@@ -53,15 +56,18 @@ def execute(
         coupling=experiment.coupling,
         options=experiment.options,
         record=experiment.record,
-        output=experiment.output,
+        output=[output, Output(sink=points)] if output is not None and apart else output,
         slave_tolerance=experiment.slave_tolerance,
         progress=progress,
         pool=pool,
     )
-    metrics = {spec.name: _measure(spec, run.case, result) for spec in scenario.metrics}
+    kept = Trajectory(result.time, result.columns, result.values, _units(run, result.columns))
+    metrics: Mapping[str, float | None] = dict.fromkeys(spec.name for spec in scenario.metrics)
+    if result.completed:  # a metric of half a run would pass for one of a whole run
+        measured = points.with_rows(kept) if apart else kept
+        metrics = measure(scenario.metrics, run.case, measured)
     steps, wall_time = result.statistics.macro_steps, result.statistics.wall_time
-    row = _row(run, result.status.name, result.message, metrics, steps, wall_time)
-    return row, Trajectory(result.time, result.columns, result.values, _units(run, result.columns))
+    return _row(run, result.status.name, result.message, metrics, steps, wall_time), kept
 
 
 def lost_row(run: Run, scenario: Scenario, status: str, message: str) -> dict[str, Any]:
@@ -91,16 +97,6 @@ def _row(
         "seed": run.seed,
         "code_version": code_version(),
     }
-
-
-def _measure(spec: MetricSpec, case: Case, result: Result) -> float | None:
-    if not result.completed:
-        return None  # a metric of half a run would pass for one of a whole run
-    found = metric(spec.metric)
-    if found.loop:
-        return found.evaluate(case, result.time, result.columns, result.values, **spec.options)
-    values = result.column(spec.of)
-    return found.evaluate(result.time, values.reshape(len(values), -1), **spec.options)
 
 
 def _units(run: Run, columns: Sequence[str]) -> dict[str, str]:

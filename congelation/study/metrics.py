@@ -1,9 +1,9 @@
-"""Numbers that sum up a recorded trajectory: v(t) in, one number out.
+"""Numbers that sum up a trajectory: v(t) in, one number out.
 
 A metric is a function of the time (N,) and of the values (N, M) of a group of variables; |v|
 below is the Euclidean norm over the group. What is integrated follows a monotone piecewise cubic
-between the rows (Fritsch and Butland 1984), which is accurate where steps are long and does not
-overshoot where signals jump; crossings are interpolated linearly; extrema are those of the rows.
+between the points (Fritsch and Butland 1984), which is accurate where steps are long and does not
+overshoot where signals jump; crossings are interpolated linearly; extrema are those of the points.
 
 Further metrics come from installed packages: an entry point of the group ``congelation.metrics``
 names a `Metric`.
@@ -52,8 +52,9 @@ class Metric:
     name : str
         What a scenario calls it.
     evaluate : callable
-        ``evaluate(time, values, **options) -> float`` with `time` (N,), `values` (N, M) and
-        real-valued keyword-only options; those without a default must be given.
+        ``evaluate(time, values, **options) -> float or None`` with `time` (N,), `values` (N, M)
+        and real-valued keyword-only options; those without a default must be given. None, or nan,
+        is no answer: the run's column is empty.
     definition : str
         One line: the formula and its source.
     unit : callable
@@ -65,15 +66,18 @@ class Metric:
         ``evaluate(case, time, columns, values)``, the states of the loop among the columns.
     recorded : bool
         True if such a metric is of every variable that the experiment records.
+    positive : tuple of str
+        Those of the options that have to be positive.
     """
 
     name: str
-    evaluate: Callable[..., float]
+    evaluate: Callable[..., float | None]
     definition: str
     unit: Callable[[str], str]
     scalar: bool = False
     loop: bool = False
     recorded: bool = False
+    positive: tuple[str, ...] = ()
 
     @property
     def options(self) -> dict[str, bool]:
@@ -143,11 +147,14 @@ def integral_of_time_absolute(time: Array, values: Array) -> float:
     return _integral(time, (time - time[0]) * norm(values))
 
 
-def overshoot(time: Array, values: Array, *, reference: float = 0.0) -> float:
-    """Largest excursion past `reference`, as a fraction of the deviation at the start."""
+def overshoot(time: Array, values: Array, *, reference: float = 0.0) -> float | None:
+    """Largest excursion past `reference`, as a fraction of the deviation at the start.
+
+    None where there is no deviation at the start.
+    """
     deviation = values[:, 0] - reference
     if deviation[0] == 0.0:
-        return math.nan
+        return None
     return float(max(0.0, np.max(-deviation / deviation[0])))
 
 
@@ -203,12 +210,13 @@ _BUILT_IN = (
         settling_time,
         "inf {T >= 0 : |v(t)| <= below for all t >= T} (Astrom and Murray 2008, sec. 5.3)",
         _time,
+        positive=("below",),
     ),
     Metric(
         "overshoot",
         overshoot,
-        "max_t (reference - v(t)) / (v(0) - reference), 0 if negative (Astrom and Murray 2008,"
-        " sec. 5.3)",
+        "max_t (reference - v(t)) / (v(0) - reference), 0 if negative, empty if v(0) = reference"
+        " (Astrom and Murray 2008, sec. 5.3)",
         _ratio,
         scalar=True,
     ),

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from congelation.study.execute import execute
 from congelation.study.plan import Run
 from congelation.study.records import Row, Trajectory
 from congelation.study.scenario import Experiment
@@ -43,13 +42,13 @@ def pilot(shared: Work, tasks: Sequence[Task]) -> Pilot:
     Raises
     ------
     CongelationError
-        If a run cannot begin.
+        If a run cannot begin, or takes longer than it may.
     """
     end = time.monotonic() + LIMIT
     measured: list[Pilot] = []
     with at_work(shared) as worker, tempfile.TemporaryDirectory() as folder:
         first = _part(worker.run(tasks[0]), FRACTIONS[0])
-        execute(first, shared.scenario, worker.pool)  # loads the FMUs, which counts for no run
+        worker.timed(first, kept=False)  # loads the FMUs, which counts for no run
         for task in tasks:
             measured.append(_measure(worker, worker.run(task), Store(Path(folder))))
             if time.monotonic() > end:
@@ -63,7 +62,7 @@ def _measure(worker: Worker, run: Run, store: Store) -> Pilot:
     shared = worker.shared
     for fraction in FRACTIONS:
         begin = time.perf_counter()
-        row, trajectory = execute(_part(run, fraction), shared.scenario, worker.pool)
+        row, trajectory = worker.timed(_part(run, fraction), kept=False)
         store.write(row, trajectory if shared.trajectories else None)
         seconds = time.perf_counter() - begin
         if seconds > ENOUGH:

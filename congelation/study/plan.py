@@ -7,9 +7,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import cast
 
+from congelation.cosim.coupling import make_coupling, refuse_tolerance
 from congelation.cosim.description import describe
+from congelation.errors import InvalidInput
 from congelation.study.identity import code_version, content_hash, file_hash
-from congelation.study.scenario import EXPERIMENT, Case, Scenario
+from congelation.study.scenario import EXPERIMENT, Case, Experiment, Scenario
 from congelation.study.start_values import Scalar
 from congelation.study.sweep import Settings
 
@@ -57,8 +59,14 @@ def plan_run(
     """The run of a scenario with some settings; `varied` names those that its row shows.
 
     The seed of the sweep and the number of the replicate are no part of what it consists of.
+
+    Raises
+    ------
+    InvalidInput
+        If the experiment does not stand with these settings.
     """
     case = scenario.case(settings)
+    _require_steps(scenario, case.experiment)
     content = {
         "variant": variant,
         "components": [
@@ -72,6 +80,20 @@ def plan_run(
     }
     shown = {name: _setting(case, name) for name in varied}
     return Run(content_hash(content), variant, shown, case, seed, replicate)
+
+
+def _require_steps(scenario: Scenario, experiment: Experiment) -> None:
+    """Raise InvalidInput unless the coupling can do with a tolerance, if there is one.
+
+    Only of a whole run: a variant may give the one, and a point of a sweep the other.
+    """
+    if experiment.tolerance is None:
+        return
+    coupling = make_coupling(experiment.coupling, experiment.options)
+    try:
+        refuse_tolerance(coupling, experiment.tolerance)
+    except InvalidInput as error:
+        raise InvalidInput(f"{scenario.file}: {EXPERIMENT}.tolerance: {error}") from error
 
 
 def _content(value: object) -> object:

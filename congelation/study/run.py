@@ -55,7 +55,10 @@ def run_scenario(
     with SlavePool() as pool, deferred_interrupts() as check:
         for run in runs:
             report = partial(_report, check, progress, run.variant)
-            row, trajectory = execute(run, scenario, pool, report)
+            try:
+                row, trajectory = execute(run, scenario, pool, report)
+            except InvalidInput as error:
+                raise _in_run(scenario, run, error) from error
             store.write(row, trajectory)
             if verify and row["status"] == Status.COMPLETED.name:
                 deviations = compare(references[run.run_id], trajectory)
@@ -79,4 +82,9 @@ def _reference(scenario: Scenario, run: Run) -> Reference:
     try:
         return reference(run.case)
     except InvalidInput as error:
-        raise InvalidInput(f"{scenario.file}: {run.variant}: {error}") from error
+        raise _in_run(scenario, run, error) from error
+
+
+def _in_run(scenario: Scenario, run: Run, error: InvalidInput) -> InvalidInput:
+    """The error with the place that it belongs to."""
+    return InvalidInput(f"{scenario.file}: {run.variant}: {error}")

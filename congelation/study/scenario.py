@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from congelation.cosim.coupling import make_coupling
+from congelation.cosim.coupling import Coupling, make_coupling
 from congelation.cosim.output import Output
 from congelation.cosim.system import System
 from congelation.study.start_values import Scalar
@@ -206,27 +207,46 @@ def read_experiment(section: Section) -> Experiment:
     section.only(f.name for f in fields(Experiment))
     start = section.seconds("start_time") if "start_time" in section.data else 0.0
     stop = section.seconds("stop_time")
-    if stop <= start:
+    if not (stop > start and math.isfinite(stop - start)):
         raise section.wrong("stop_time", f"a time after start_time = {start:g}")
-    step = section.seconds("step") if "step" in section.data else None
-    if step is not None and step <= 0.0:
-        raise section.wrong("step", "a positive time")
+    step = section.duration("step") if "step" in section.data else None
     if step is None and "tolerance" not in section.data:
         raise section.error("step", "is missing; give a time in seconds, or a tolerance")
     coupling = section.text("coupling", "derivative")
-    options = dict(section.section("options").data)
-    section.attempt("coupling", partial(make_coupling, coupling, options))
+    options = _options(section)
+    chosen = section.attempt("coupling", partial(make_coupling, coupling, options))
+    _check_options(section, chosen)
     return Experiment(
         stop_time=stop,
         record=section.texts("record"),
         start_time=start,
         step=step,
-        tolerance=_optional_positive(section, "tolerance"),
+        tolerance=_optional_tolerance(section, "tolerance"),
         coupling=coupling,
         options=options,
-        slave_tolerance=_optional_positive(section, "slave_tolerance"),
+        slave_tolerance=_optional_tolerance(section, "slave_tolerance"),
         **_output(section),
     )
+
+
+def _options(section: Section) -> dict[str, object]:
+    """The options of the coupling; those with a unit in seconds."""
+    table = section.section("options")
+    return {
+        key: table.seconds(key) if isinstance(value, Mapping) else value
+        for key, value in table.data.items()
+    }
+
+
+def _check_options(section: Section, coupling: Coupling) -> None:
+    """Raise InvalidInput where an option has a unit and is no time, or has no effect."""
+    table = section.section("options")
+    for key, value in table.data.items():
+        if isinstance(value, Mapping) and key not in coupling.periods:
+            raise table.error(key, "is no time; give it without a unit")
+    if "tolerance" in table.data and "tolerance" in section.data:
+        own = section.at("tolerance")
+        raise table.error("tolerance", f"has no effect beside {own}; leave one of them out")
 
 
 def _output(section: Section) -> dict[str, Any]:
@@ -235,10 +255,7 @@ def _output(section: Section) -> dict[str, Any]:
     if len(keys) > 1:
         raise section.error("output_every", "and output_interval exclude each other")
     if keys == ["output_interval"]:
-        interval = section.seconds("output_interval")
-        if interval <= 0.0:
-            raise section.wrong("output_interval", "a positive time")
-        return {"output_interval": interval}
+        return {"output_interval": section.duration("output_interval")}
     if keys == ["output_every"]:
         every = section.integer("output_every", 0)
         if every < 1:
@@ -247,5 +264,12 @@ def _output(section: Section) -> dict[str, Any]:
     return {}
 
 
-def _optional_positive(section: Section, key: str) -> float | None:
-    return section.positive(key) if key in section.data else None
+def _optional_tolerance(section: Section, key: str) -> float | None:
+    """The relative tolerance under `key`, if there is one."""
+    if key not in section.data:
+        return None
+    valid = "a number between 0 and 1"
+    tolerance = section.number(key, valid)
+    if not 0.0 < tolerance < 1.0:
+        raise section.wrong(key, valid)
+    return tolerance

@@ -24,7 +24,7 @@ from congelation.study.scenario import (
     Variant,
 )
 from congelation.study.start_values import Scalar, profile_values, start_values
-from congelation.study.sweep_file import read_sweep
+from congelation.study.sweep_file import Flatten, read_sweep
 from congelation.toml import Section, read_document
 
 __all__ = ["load_scenario", "read_scenario"]
@@ -92,10 +92,15 @@ def read_scenario(file: Path, text: str, document: Section) -> Scenario:
     )
     scenario = _with_record(document, scenario)
     scenario.case({})
-    scenario = replace(scenario, variants=_variants(document, scenario))
+    driven = _driven(scenario)
+    for name, section in document.section("components").subsections():
+        values = next(c.start for c in scenario.system.components if c.name == name)
+        _check_free(section.section("start"), name, values, driven)
+    flatten = partial(_settings, scenario=scenario, driven=driven)
+    scenario = replace(scenario, variants=_variants(document, scenario, flatten))
+    _check_figures(document, scenario)
     if "sweep" not in document.data:
         return scenario
-    flatten = partial(_settings, scenario=scenario)
     return replace(scenario, sweep=read_sweep(document.section("sweep"), flatten))
 
 
@@ -133,7 +138,7 @@ def _find_fmu(section: Section) -> Path:
 
 
 def _metric(section: Section, name: str) -> MetricSpec:
-    if name in _RESERVED or "." in name:
+    if name in _RESERVED or "." in name or not name.strip():
         raise InvalidInput(f"{section.file}: {section.path}: choose a name other than '{name}'")
     section.require("metric")
     found = section.attempt("metric", partial(metric, section.text("metric")))
@@ -141,6 +146,9 @@ def _metric(section: Section, name: str) -> MetricSpec:
     section.require(*of).only(("metric", *of, *found.options))
     section.require(*(option for option, required in found.options.items() if required))
     options = {key: section.number(key) for key in section.data if key in found.options}
+    for key in found.positive:
+        if options.get(key, 1.0) <= 0.0:
+            raise section.wrong(key, "a positive number")
     return MetricSpec(name, found.name, section.text("of") if of else "", options)
 
 
@@ -157,17 +165,53 @@ def _figure(section: Section) -> FigureSpec:
     return FigureSpec(name, section.texts("panels"), (span[0], span[1]) if span else None)
 
 
-def _variants(document: Section, scenario: Scenario) -> tuple[Variant, ...]:
+def _check_figures(document: Section, scenario: Scenario) -> None:
+    """Raise InvalidInput for a figure that would replace another, or shows no part of any run."""
+    runs = [scenario.case(variant.settings).experiment for variant in scenario.variants]
+    start, stop = min(run.start_time for run in runs), max(run.stop_time for run in runs)
+    names: set[str] = set()
+    for figure, section in zip(scenario.figures, document.sections("figures"), strict=True):
+        if figure.name in names:
+            raise section.error("name", f"= '{figure.name}' is given twice; names must differ")
+        names.add(figure.name)
+        if figure.span is not None and not (figure.span[0] < stop and figure.span[1] > start):
+            raise section.wrong("span", f"a part of the time from {start:g} to {stop:g}")
+
+
+def _variants(document: Section, scenario: Scenario, flatten: Flatten) -> tuple[Variant, ...]:
     variants: list[Variant] = []
     for section in document.sections("variants"):
         name = section.only(("name", "set")).text("name")
         if any(name == other.name for other in variants):
             raise section.error("name", f"= '{name}' is given twice; names must differ")
-        variants.append(Variant(name, _settings(section.section("set"), scenario)))
+        variants.append(Variant(name, flatten(section.section("set"))))
     return tuple(variants) or (Variant(scenario.file.stem, {}),)
 
 
-def _settings(section: Section, scenario: Scenario) -> dict[str, Scalar]:
+def _driven(scenario: Scenario) -> dict[str, str]:
+    """The inputs that connections drive, ``component.variable``, and what each is driven by."""
+    resolved = scenario.system.resolve()
+    found: dict[str, str] = {}
+    for link in (*resolved.links, *resolved.discrete_links):
+        for variable in (link.input, *link.target_derivatives):
+            if variable is not None:
+                found[f"{resolved.members[link.target].name}.{variable.name}"] = link.name
+    return found
+
+
+def _check_free(
+    section: Section, name: str, values: Iterable[str], driven: Mapping[str, str]
+) -> None:
+    """Raise InvalidInput where a start value of component `name` is that of a connected input."""
+    for variable in values:
+        if link := driven.get(f"{name}.{variable}"):
+            raise InvalidInput(
+                f"{section.file}: {section.path}: '{variable}' has no effect, as '{link}' drives "
+                "it; leave one of them out"
+            )
+
+
+def _settings(section: Section, scenario: Scenario, driven: Mapping[str, str]) -> dict[str, Scalar]:
     """The flat settings ``owner.key`` of a variant; owners are the components and `experiment`."""
     owners = _by_owner(section)
     fmus = {component.name: component.fmu for component in scenario.system.components}
@@ -181,6 +225,7 @@ def _settings(section: Section, scenario: Scenario) -> dict[str, Scalar]:
             if owner == EXPERIMENT
             else _values(changed, fmus[owner], changed.without("profile"))
         )
+        _check_free(changed, owner, values, driven)
         flat |= {f"{owner}.{key}": value for key, value in values.items()}
     scenario.case(flat)
     return flat
@@ -192,16 +237,18 @@ def _by_owner(section: Section) -> Section:
     profiles: dict[str, dict[str, object]] = {}
     for name, value in section.data.items():
         owner, dot, key = name.partition(".")
-        table = grouped.setdefault(owner, {})
-        if dot and key.startswith("profile."):
-            profiles.setdefault(owner, {})[key.removeprefix("profile.")] = value
-        elif dot:
-            table[key] = value
-        elif isinstance(value, Mapping):
-            table.update(value)
-        else:
+        settings = {key: value} if dot else value
+        if not isinstance(settings, Mapping):
             raise section.error(name, "is no setting; write it as 'component.variable'")
+        for inner, setting in settings.items():
+            of = profiles if inner.startswith("profile.") else grouped
+            table = of.setdefault(owner, {})
+            if inner.removeprefix("profile.") in table:
+                raise section.error(f"{owner}.{inner}", "is given twice; leave one of them out")
+            table[inner.removeprefix("profile.")] = setting
     for owner, profile in profiles.items():
+        if "profile" in grouped.setdefault(owner, {}):
+            raise section.error(f"{owner}.profile", "is given twice; leave one of them out")
         grouped[owner]["profile"] = profile
     return replace(section, data=grouped)
 

@@ -108,20 +108,27 @@ class Store:
     def rows(self) -> tuple[dict[str, Any], ...]:
         """The rows of all runs finished so far, also while a sweep is under way.
 
-        Those of runs.parquet come first, in its order. Every row has every column.
+        Those of runs.parquet come first, in its order; those that it leaves out as runs of another
+        plan are no part of it. Every row has every column.
 
         Raises
         ------
         InvalidInput
             If this is no result directory.
         """
-        if not (self.root / "parts").is_dir() and not self.index.is_file():
-            raise InvalidInput(f"{self.root} is no result directory")
-        rows = list(self.read().rows) if self.index.is_file() else []
-        new = self.finished({row["run_id"] for row in rows})
+        self._require()
+        study = self.read() if self.index.is_file() else Study((), {})
+        rows = list(study.rows)
+        unlisted = study.about.get("sweep", {}).get("unlisted", ())
+        new = self.finished({*(row["run_id"] for row in rows), *unlisted})
         rows += [self.row(run_id) for run_id in sorted(new)]
         names = dict.fromkeys(name for row in rows for name in row)
         return tuple({name: row.get(name) for name in names} for row in rows)
+
+    def _require(self) -> None:
+        """Raise InvalidInput if this is no result directory."""
+        if not (self.root / "parts").is_dir() and not self.index.is_file():
+            raise InvalidInput(f"{self.root} is no result directory")
 
     def find(self, run_id: str) -> dict[str, Any]:
         """The row of the finished run whose run_id begins with `run_id`.
@@ -129,10 +136,13 @@ class Store:
         Raises
         ------
         InvalidInput
-            If there is no such run, or more than one.
+            If this is no result directory, or there is no such run, or more than one.
         """
+        self._require()
         known = sorted(self.finished())
         found = [name for name in known if name.startswith(run_id)]
+        if not known:
+            raise InvalidInput(f"{self.root} has no runs")
         if not found:
             raise InvalidInput(f"{self.root} has no run '{run_id}'; {nearest(run_id, known)}")
         if len(found) > 1:
@@ -206,7 +216,8 @@ class Store:
 
 def _joined(tables: Iterable[pa.Table]) -> pa.Table:
     """One table with the columns of all of them, in one piece."""
-    return pa.concat_tables(list(tables), promote_options="permissive").combine_chunks()
+    several = [pa.table({}), *tables]  # of none at all, it is the empty one
+    return pa.concat_tables(several, promote_options="permissive").combine_chunks()
 
 
 def _trajectory_table(trajectory: Trajectory) -> pa.Table:

@@ -36,6 +36,7 @@ from congelation.study.start_values import Scalar
 
 __all__ = [
     "DISTRIBUTIONS",
+    "MOST_RUNS",
     "SAMPLINGS",
     "Distribution",
     "RandomAxis",
@@ -46,6 +47,12 @@ __all__ = [
 
 Settings = Mapping[str, Scalar]
 Floats = npt.NDArray[np.float64]
+
+MOST_RUNS = 2**20
+"""Of each variant: the plan of so many takes half a gigabyte and some minutes."""
+
+EXACT = 2.0**53
+"""Up to here every whole number is a float."""
 
 
 @dataclass(frozen=True)
@@ -59,12 +66,16 @@ class Distribution:
     valid : callable
         Whether two numbers can be its parameters.
     inverse : callable
-        (u, a, b) -> value for u in (0, 1): the inverse of the distribution function.
+        (u, a, b) -> value for u in (0, 1): the inverse of the distribution function. What overflows
+        is infinite.
+    bounded : bool
+        Whether the ends of (0, 1) give values that are drawn in earnest.
     """
 
     parameters: str
     valid: Callable[[float, float], bool]
     inverse: Callable[[float, float, float], Scalar]
+    bounded: bool = True
 
 
 def _normal_quantile(u: float, mean: float, deviation: float) -> float:
@@ -77,22 +88,23 @@ DISTRIBUTIONS: Mapping[str, Distribution] = {
     "uniform": Distribution(
         "[low, high] with low < high",
         lambda a, b: a < b,
-        lambda u, a, b: a + (b - a) * u,
+        lambda u, a, b: min(a * (1.0 - u) + b * u, b),
     ),
     "log_uniform": Distribution(
         "[low, high] with 0 < low < high",
         lambda a, b: 0.0 < a < b,
-        lambda u, a, b: a * (b / a) ** u,
+        lambda u, a, b: min(max(a, a ** (1.0 - u) * b**u), b),
     ),
     "normal": Distribution(
         "[mean, standard deviation] with a positive deviation",
         lambda a, b: b > 0.0,
         _normal_quantile,
+        bounded=False,
     ),
     "integers": Distribution(
-        "[first, last], whole numbers with first < last",
-        lambda a, b: a < b and a == math.floor(a) and b == math.floor(b),
-        lambda u, a, b: int(a + math.floor(u * (b - a + 1.0))),
+        "[first, last], whole numbers of at most 2^53 with first < last",
+        lambda a, b: -EXACT <= a < b <= EXACT and a == math.floor(a) and b == math.floor(b),
+        lambda u, a, b: min(int(a) + math.floor(u * (b - a + 1.0)), int(b)),
     ),
 }
 
@@ -128,11 +140,12 @@ _SMALLEST = 2.0**-53
 
 @dataclass(frozen=True)
 class RandomAxis:
-    """A setting drawn from one of `DISTRIBUTIONS`."""
+    """A setting drawn from one of `DISTRIBUTIONS`; `place` is where the scenario says so."""
 
     name: str
     distribution: str
     parameters: tuple[float, float]
+    place: str = ""
 
     def value(self, u: float) -> Scalar:
         """The value below which a fraction `u` of all draws lies."""

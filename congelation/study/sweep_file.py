@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
-from congelation.errors import nearest
+from congelation.errors import InvalidInput, nearest
 from congelation.study.constraint import Constraint
 from congelation.study.scenario import EXPERIMENT
 from congelation.study.start_values import Scalar
 from congelation.study.sweep import (
     DISTRIBUTIONS,
+    MOST_RUNS,
     SAMPLINGS,
     RandomAxis,
     Replicates,
@@ -20,7 +22,7 @@ from congelation.study.sweep import (
 )
 from congelation.toml import Section
 
-__all__ = ["read_sweep"]
+__all__ = ["Flatten", "read_sweep"]
 
 Flatten = Callable[[Section], dict[str, Scalar]]
 """Checks a table of settings against the scenario; one entry per scalar variable."""
@@ -69,7 +71,7 @@ def read_sweep(section: Section, flatten: Flatten) -> Sweep:
     seed = section.integer("seed", 0)
     if seed < 0:
         raise section.wrong("seed", "a whole number of at least 0")
-    return Sweep(
+    sweep = Sweep(
         lists=tuple(lists),
         axes=tuple(axes),
         sampling=sampling,
@@ -77,9 +79,15 @@ def read_sweep(section: Section, flatten: Flatten) -> Sweep:
         seed=seed,
         trajectories=section.boolean("trajectories", False),
         constraints=tuple(_constraints(section, taken)),
-        timeout=section.seconds("timeout") if "timeout" in section.data else None,
+        timeout=section.duration("timeout") if "timeout" in section.data else None,
         replicates=_replicates(section, taken, flatten),
     )
+    if sweep.size * (sweep.replicates.count if sweep.replicates is not None else 1) > MOST_RUNS:
+        raise InvalidInput(
+            f"{section.file}: {section.path} has more than {MOST_RUNS} runs of each variant; "
+            "split it over several scenarios"
+        )
+    return sweep
 
 
 def _replicates(section: Section, taken: Mapping[str, str], flatten: Flatten) -> Replicates | None:
@@ -89,8 +97,8 @@ def _replicates(section: Section, taken: Mapping[str, str], flatten: Flatten) ->
             raise section.error("reseed", "has no meaning without replicates")
         return None
     count = section.integer("replicates")
-    if count < 1:
-        raise section.wrong("replicates", "a positive whole number")
+    if not 1 <= count <= MOST_RUNS:
+        raise section.wrong("replicates", f"a whole number from 1 to {MOST_RUNS}")
     names = section.texts("reseed")
     if not names:
         raise section.error("reseed", "is missing; name the settings that replicates differ in")
@@ -121,8 +129,8 @@ def _samples(section: Section, needed: bool, sampling: str) -> int:
             raise section.error("samples", "has no meaning without a random axis")
         return 0
     samples = section.integer("samples")
-    if samples < 1:
-        raise section.wrong("samples", "a positive whole number")
+    if not 1 <= samples <= MOST_RUNS:
+        raise section.wrong("samples", f"a whole number from 1 to {MOST_RUNS}")
     if sampling == "sobol" and samples.bit_count() != 1:
         power = 2 ** (samples.bit_length() - 1)
         raise section.wrong("samples", f"a power of two for Sobol: {power} or {2 * power}")
@@ -163,7 +171,12 @@ def _random(section: Section, kind: str, flatten: Flatten) -> RandomAxis:
     numbers = section.numbers(kind)
     if len(numbers) != 2 or not distribution.valid(numbers[0], numbers[1]):
         raise section.wrong(kind, distribution.parameters)
-    axis = RandomAxis(name, kind, (numbers[0], numbers[1]))
+    axis = RandomAxis(name, kind, (numbers[0], numbers[1]), section.path)
+    ends = (axis.value(0.0), axis.value(1.0))
+    if not all(math.isfinite(float(end)) for end in ends):
+        raise section.wrong(kind, f"{distribution.parameters}, that no draw is infinite with")
+    for value in ends if distribution.bounded else ():
+        flatten(replace(section, data={name: value}))
     flat = flatten(replace(section, data={name: axis.value(0.5)}))
     if len(flat) != 1:
         raise section.error("set", f"= '{name}' is no single variable")

@@ -31,6 +31,7 @@ __all__ = [
     "Done",
     "Shipment",
     "Task",
+    "TimedOut",
     "Work",
     "Worker",
     "at_work",
@@ -128,8 +129,8 @@ class _Stopped(Exception):
     """The parent asked to stop."""
 
 
-class _TimedOut(Exception):
-    """The run took longer than it may."""
+class TimedOut(CongelationError):
+    """A run took longer than it may."""
 
 
 class Worker:
@@ -148,11 +149,11 @@ class Worker:
         run = self.run(task)
         trajectory: Trajectory | None = None
         try:
-            row, trajectory = self._timed(run)
+            row, trajectory = self.timed(run)
         except StoreError:
             raise
-        except _TimedOut:
-            row = lost_row(run, shared.scenario, TIMED_OUT, self._too_long())
+        except TimedOut as error:
+            row = lost_row(run, shared.scenario, TIMED_OUT, str(error))
         except CongelationError as error:
             row = lost_row(run, shared.scenario, REFUSED, str(error))
         shared.store.write(row, trajectory if shared.trajectories else None)
@@ -178,12 +179,23 @@ class Worker:
         experiment = replace(run.case.experiment, record=columns)
         return replace(run, case=replace(run.case, experiment=experiment))
 
-    def _timed(self, run: Run) -> tuple[dict[str, object], Trajectory]:
+    def timed(self, run: Run, *, kept: bool = True) -> tuple[dict[str, object], Trajectory]:
+        """Execute a run, in no more than the time that it may take.
+
+        One that does not return from its FMUs ends this process; its row is stored before, if it
+        is to be `kept`.
+
+        Raises
+        ------
+        TimedOut
+            If it takes longer.
+        """
         limit = self.shared.timeout
         if limit is None:
             return execute(run, self.shared.scenario, self.pool, self._check)
         self._deadline = time.monotonic() + limit
-        alarm = threading.Timer(limit + GRACE, self._give_up, (run,))
+        patience = min(limit + GRACE, threading.TIMEOUT_MAX)
+        alarm = threading.Timer(patience, self._give_up, (run if kept else None,))
         alarm.daemon = True
         alarm.start()
         try:
@@ -196,14 +208,15 @@ class Worker:
         if _PROCESS.stopped():
             raise _Stopped
         if self._deadline is not None and time.monotonic() > self._deadline:
-            raise _TimedOut
+            raise TimedOut(self._too_long())
 
-    def _give_up(self, run: Run) -> None:
+    def _give_up(self, run: Run | None) -> None:
         """End this process, which an FMU does not give back."""
-        row = lost_row(run, self.shared.scenario, TIMED_OUT, self._too_long())
         try:
-            self.shared.store.write(row)
-            _PROCESS.last_words(row)
+            if run is not None:
+                row = lost_row(run, self.shared.scenario, TIMED_OUT, self._too_long())
+                self.shared.store.write(row)
+                _PROCESS.last_words(row)
         finally:
             os._exit(1)
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from congelation.errors import InvalidInput
 from congelation.study.constraint import Constraint
 from congelation.study.scenario_file import load_scenario
+from congelation.study.sweep_plan import plan_sweep
 from tests.study.scenarios import SCALAR, write
 
 POINT = {
@@ -49,7 +50,10 @@ def test_arithmetic_is_that_of_numbers(x: float, y: float) -> None:
     )
 
 
+LONG = " + ".join(["a.x"] * 3000) + " < 1"
 MISTAKES = {
+    LONG: "more than 100 operations inside each other; use several",
+    "-" * 5000 + "a.x < 1": "more than 100 operations inside each other",
     "a.x <": "is no comparison",
     "a.x + 1": "compares nothing",
     "exit() < 1": r"'exit\(\)' has no meaning here",
@@ -64,8 +68,12 @@ def test_what_is_no_constraint_is_told(text: str, message: str) -> None:
         Constraint(text)
 
 
+def test_many_conditions_are_no_deep_ones() -> None:
+    assert Constraint(" and ".join(["a.x < 9"] * 3000)).holds(POINT)
+
+
 def test_what_cannot_be_evaluated_is_told() -> None:
-    for text in ("1 / (a.x - 2) < 1", "experiment.coupling < 1"):
+    for text in ("1 / (a.x - 2) < 1", "experiment.coupling < 1", "9 ** 9 ** 9 ** 9 < a.x"):
         with pytest.raises(InvalidInput, match="cannot be evaluated"):
             Constraint(text).holds(POINT)
 
@@ -95,3 +103,12 @@ def test_a_name_that_is_not_swept_is_told_with_its_place(tmp_path: Path) -> None
         load_scenario(write(tmp_path, SCALAR + SWEEP, change))
     assert "sweep.constraints: 'controller.epsilo * plant" in str(told.value)
     assert "'controller.epsilo' is not swept; did you mean 'controller.epsilon'?" in str(told.value)
+
+
+def test_what_cannot_be_evaluated_at_a_point_is_told_with_its_place(tmp_path: Path) -> None:
+    change = ("controller.epsilon * plant.x0[1]", "1 / (controller.epsilon - 2)")
+    file = write(tmp_path, SCALAR + SWEEP, change)
+    with pytest.raises(InvalidInput) as told:
+        plan_sweep(load_scenario(file), tmp_path / "out", resume=False)
+    assert str(told.value).startswith(f"{file}: sweep.constraints: '1 / (controller")
+    assert "cannot be evaluated: " in str(told.value)

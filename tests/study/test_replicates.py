@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 from congelation.errors import InvalidInput
-from congelation.study.batch import Plan, plan_sweep
 from congelation.study.scenario_file import load_scenario
 from congelation.study.sweep import Replicates
+from congelation.study.sweep_plan import Plan, plan_sweep
 from tests.study.scenarios import SCALAR, write
 
 SEED = "plant.profile[1].telegraph[1].seed"
@@ -87,7 +87,11 @@ def test_replicates_need_no_axis(tmp_path: Path) -> None:
 
 RESEED = f'reseed = ["{SEED}"]'
 MISTAKES = {
-    "none": ("replicates = 3", "replicates = 0", "sweep.replicates = 0 is not valid; give a pos"),
+    "none": (
+        "replicates = 3",
+        "replicates = 0",
+        "sweep.replicates = 0 is not valid; give a w",
+    ),
     "half": ("replicates = 3", "replicates = 2.5", "sweep.replicates = 2.5 is not valid; give a w"),
     "negative seed": ("seed = 7", "seed = -7", "sweep.seed = -7 is not valid; give a whole number"),
     "nothing to reseed": (RESEED, "", "sweep.reseed is missing; name the settings that replicates"),

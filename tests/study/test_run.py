@@ -174,3 +174,9 @@ def test_provenance_is_kept_with_the_rows(tmp_path: Path) -> None:
     assert {"congelation", "Python", "fmpy", "pythonfmu"} <= set(study.about["versions"])
     assert study.about["metrics"]["settling_x"]["unit"] == "s"
     assert study.about["metrics"]["settling_x"]["options"] == {"below": 0.1}
+
+
+def test_a_refusal_names_its_component_once(tmp_path: Path) -> None:
+    rows = run(tmp_path, ("epsilon = 0.3", "epsilon = -1")).read().rows
+    assert rows[0]["status"] == "SLAVE_FAILED"
+    assert rows[0]["message"].startswith("controller at t = 0: epsilon = -1.0 is refused: ")

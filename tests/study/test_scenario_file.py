@@ -253,6 +253,72 @@ MISTAKES = {
         '"Controller 1"',
         "variants[2].name = 'Controller 1' is given twice",
     ),
+    "variant of one variable twice": (
+        SET_2,
+        '{"plant.x0" = [1.0], plant = {x0 = [2.0]}}',
+        "variants[2].set.plant.x0 is given twice; leave one of them out",
+    ),
+    "variant of one profile twice": (
+        SET_2,
+        '{"plant.profile" = 1, "plant.profile.theta[1]" = 1.0}',
+        "variants[2].set.plant.profile is given twice; leave one of them out",
+    ),
+    "variant of a connected input": (
+        SET_2,
+        '{"controller.x" = 123}',
+        "variants[2].set.controller: 'x' has no effect, as 'plant.x -> controller.x' drives it",
+    ),
+    "start value of a connected input": (
+        "k_bar = 0.5",
+        "k_bar = 0.5, x = 123",
+        "components.controller.start: 'x' has no effect, as 'plant.x -> controller.x' drives it",
+    ),
+    "infinite start value": (
+        "{x0 = [1.0]}",
+        "{x0 = [inf]}",
+        "components.plant.start, start value 'x0': inf is no value; give a finite number",
+    ),
+    "start value beyond all numbers": (
+        "{x0 = [1.0]}",
+        f"{{x0 = [{10**400}]}}",
+        "components.plant.start, start value 'x0': inf is no value",
+    ),
+    "tolerance beyond 1": (
+        "step = 0.01",
+        "step = 0.01\nslave_tolerance = 1e300",
+        "experiment.slave_tolerance = 1e+300 is not valid; give a number between 0 and 1",
+    ),
+    "infinite step": (
+        "step = 0.01",
+        'step = {value = 1e308, unit = "h"}',
+        "experiment.step = {'value': 1e+308, 'unit': 'h'} is not valid; give a time that is",
+    ),
+    "option with a unit that is no time": (
+        "step = 0.01",
+        'step = 0.01\ncoupling = "hermite"\noptions = {tolerance = {value = 0.1, unit = "s"}}',
+        "experiment.options.tolerance is no time; give it without a unit",
+    ),
+    "option without an effect": (
+        "step = 0.01",
+        'tolerance = 0.01\ncoupling = "hermite"\noptions = {tolerance = 1e-9}',
+        "experiment.options.tolerance has no effect beside experiment.tolerance",
+    ),
+    "metric without a name": ("settling_x =", '"" =', "choose a name other than ''"),
+    "metric with a negative option": (
+        "below = 0.1",
+        "below = -1",
+        "metrics.settling_x.below = -1 is not valid; give a positive number",
+    ),
+    "figures of one name": (
+        '[[variants]]\nname = "Controller 1"',
+        f'[[figures]]\nname = "loop"\npanels = {PANELS}\n[[variants]]\nname = "Controller 1"',
+        "figures[2].name = 'loop' is given twice; names must differ",
+    ),
+    "figure of no part of the run": (
+        PANELS,
+        f"{PANELS}\nspan = [2, 3]",
+        "figures[1].span = [2, 3] is not valid; give a part of the time from 0 to 1",
+    ),
     "variant of no component": (
         SET_2,
         '{"contoller.damping" = false}',
@@ -299,3 +365,11 @@ def test_without_any_fmu_the_build_command_is_named(
     with pytest.raises(InvalidInput) as told:
         load_scenario(write(tmp_path, SCALAR, (PLANT_FMU, '"ScalarPlant"')))
     assert str(told.value).endswith("is no FMU in fmus/; build it with: python build_fmu.py")
+
+
+def test_a_sample_time_may_state_its_unit(tmp_path: Path) -> None:
+    sampled = 'step = 0.01\ncoupling = "sampled"\noptions = '
+    for time in ("0.02", '{value = 20, unit = "ms"}'):
+        change = ("step = 0.01", f"{sampled}{{sample_time = {time}}}")
+        scenario = load_scenario(write(tmp_path, SCALAR, change))
+        assert scenario.case({}).experiment.options == {"sample_time": 0.02}

@@ -7,11 +7,11 @@ from pathlib import Path
 import pytest
 
 from congelation.cosim.pool import SlavePool
-from congelation.study.batch import plan_sweep
 from congelation.study.execute import execute
 from congelation.study.plan import plan_run
 from congelation.study.run import run_scenario
 from congelation.study.scenario_file import load_scenario
+from congelation.study.sweep_plan import plan_sweep
 from congelation.study.verify import LARGEST_DEVIATION
 from tests.study.scenarios import ROOT
 

@@ -12,6 +12,7 @@ from scipy import stats
 from congelation.errors import InvalidInput
 from congelation.study.scenario_file import load_scenario
 from congelation.study.sweep import DISTRIBUTIONS, SAMPLINGS, RandomAxis, Sweep
+from congelation.study.sweep_plan import plan_sweep
 from tests.study.scenarios import SCALAR, write
 
 SWEEP = """
@@ -161,6 +162,47 @@ MISTAKES = {
         '[sweep]\nsamples = 2\n[[sweep.axes]]\nset = "controller.gamma"\nvalues = [1]',
         "sweep.samples has no meaning without a random axis",
     ),
+    "more samples than a sweep has": (
+        "samples = 4",
+        "samples = 1_000_000_000_000",
+        "sweep.samples = 1000000000000 is not valid; give a whole number from 1 to 1048576",
+    ),
+    "more runs than a sweep has": (
+        "samples = 4",
+        "samples = 1_000_000",
+        "sweep has more than 1048576 runs of each variant; split it over several scenarios",
+    ),
+    "a seed beyond 64 bits": (
+        "seed = 7",
+        f"seed = {10**60}",
+        "... is not valid; give a whole number of at most 64 bits",
+    ),
+    "no timeout": ("seed = 7", "timeout = 0", "sweep.timeout = 0 is not valid; give a positive"),
+    "whole numbers beyond 2^53": (
+        "uniform = [-2, 2]",
+        "integers = [1, 1e30]",
+        "sweep.axes[2].integers = [1, 1e+30] is not valid; give [first, last], whole numbers of at",
+    ),
+    "ends that are not valid": (
+        'set = "plant.x0"',
+        'set = "experiment.step"',
+        "sweep.axes[2].experiment.step = -1.9999999999999996 is not valid; give a positive time",
+    ),
+    "infinite draws": (
+        "uniform = [-2, 2]",
+        "normal = [0, 1e308]",
+        "sweep.axes[2].normal = [0, 1e+308] is not valid; give [mean, standard deviation]",
+    ),
+    "values beyond 64 bits": (
+        '[["jacobi", 0.01], ["derivative", 0.02], ["derivative", 0.01]]',
+        f'[["jacobi", {10**400}]]',
+        "sweep.axes[3].values[1].experiment.step = 1000",
+    ),
+    "rows beyond 64 bits": (
+        'set = "controller.gamma"\nvalues = [1, 2]',
+        f'set = "experiment.output_every"\nvalues = [{10**20}]',
+        "sweep.axes[4].values[1].experiment.output_every = 100000000000000000000 is not valid",
+    ),
     "no axes": (SWEEP, "[sweep]\nsamples = 2", "sweep.axes is missing"),
 }
 
@@ -173,6 +215,24 @@ def test_mistakes_are_told_with_their_place(
         sweep_of(tmp_path, (old, new))
     assert str(told.value).startswith(f"{tmp_path / 'loop.toml'}: ")
     assert message in str(told.value)
+
+
+def test_wide_ranges_do_not_overflow() -> None:
+    wide = RandomAxis("a.b", "uniform", (-1e308, 1e308))
+    assert [wide.value(u) for u in (0.0, 0.5, 0.75)] == pytest.approx([-1e308, 0.0, 0.5e308])
+    decades = RandomAxis("a.b", "log_uniform", (1e-300, 1e300))
+    assert [decades.value(u) for u in (0.0, 0.5, 1.0)] == pytest.approx([1e-300, 1.0, 1e300])
+    whole = RandomAxis("a.b", "integers", (0.0, 2.0**53))
+    assert [whole.value(u) for u in (0.0, 1.0)] == pytest.approx([0, 2**53], abs=2)
+
+
+def test_a_draw_that_an_experiment_cannot_have_is_told_with_its_axis(tmp_path: Path) -> None:
+    axis = '[sweep]\nsamples = 50\n[[sweep.axes]]\nset = "experiment.step"\nnormal = [0.01, 0.01]\n'
+    file = write(tmp_path, SCALAR + axis)
+    with pytest.raises(InvalidInput) as told:
+        plan_sweep(load_scenario(file), tmp_path / "out", resume=False)
+    assert str(told.value).startswith(f"{file}: experiment.step = -0.0")
+    assert str(told.value).endswith("; sweep.axes[1] draws experiment.step (normal)")
 
 
 def test_every_distribution_is_tested() -> None:

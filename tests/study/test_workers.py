@@ -3,8 +3,12 @@
 import multiprocessing
 import subprocess
 import sys
+from pathlib import Path
 
-from congelation.study import workers
+from congelation.study.scenario_file import load_scenario
+from congelation.study.store import Store
+from congelation.study.workers import Work, work
+from tests.study.scenarios import write
 
 HEAVY = ("scipy", "matplotlib", "casadi", "typer", "rich", "congelation.cli")
 
@@ -23,11 +27,12 @@ def test_a_worker_starts_without_what_it_may_not_need() -> None:
     assert found.stdout.strip() == "[]"
 
 
-def test_a_worker_tells_its_own_memory_not_its_parents() -> None:
+def test_a_worker_tells_its_own_memory_not_its_parents(tmp_path: Path) -> None:
+    shared = Work(load_scenario(write(tmp_path)), Store(tmp_path / "out"), (), False, 0)
     ballast = bytearray(800_000_000)
     ballast[::4096] = b"x" * len(ballast[::4096])
     with multiprocessing.get_context("spawn").Pool(1) as pool:
-        told = pool.apply(workers._memory)
+        told = pool.apply(work, (shared, ())).memory
 
     assert 2e7 < told < 5e8
     assert len(ballast) == 800_000_000

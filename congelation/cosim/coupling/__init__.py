@@ -7,7 +7,12 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, get_args, get_type_hints
 
-from congelation.cosim.coupling.base import AdaptiveStepper, Coupling, Stepper
+from congelation.cosim.coupling.base import (
+    AdaptiveStepper,
+    Coupling,
+    Stepper,
+    refuse_tolerance,
+)
 from congelation.cosim.coupling.derivative import Derivative
 from congelation.cosim.coupling.gauss_seidel import GaussSeidel
 from congelation.cosim.coupling.hermite import Hermite
@@ -26,6 +31,7 @@ __all__ = [
     "Sampled",
     "Stepper",
     "make_coupling",
+    "refuse_tolerance",
 ]
 
 COUPLINGS: Mapping[str, type[Coupling]] = MappingProxyType(

@@ -97,11 +97,14 @@ class Coupling(ABC):
         Whether the der(.) outputs are read.
     lands_on_events : bool
         Whether communication points are placed on announced jumps.
+    takes_tolerance : bool
+        Whether its steps may be chosen by a tolerance.
     """
 
     name: ClassVar[str]
     needs_derivatives: ClassVar[bool]
     lands_on_events: ClassVar[bool]
+    takes_tolerance: ClassVar[bool]
 
     @property
     @abstractmethod
@@ -125,13 +128,15 @@ class Coupling(ABC):
 
 
 def refuse_tolerance(coupling: Coupling, tolerance: float | None) -> None:
-    """For couplings that hold inputs on purpose: how far off they are is not for a tolerance.
+    """Refuse a tolerance for a coupling that takes none.
+
+    Those hold inputs on purpose: how far off these are is not for a tolerance.
 
     Raises
     ------
     InvalidInput
     """
-    if tolerance is not None:
+    if tolerance is not None and not coupling.takes_tolerance:
         raise InvalidInput(
             f"coupling '{coupling.name}' takes a fixed step; with a tolerance use 'hermite' or "
             "'derivative'"

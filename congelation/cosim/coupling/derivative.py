@@ -50,6 +50,7 @@ class Derivative(Coupling):
     name: ClassVar[str] = "derivative"
     needs_derivatives: ClassVar[bool] = True
     lands_on_events: ClassVar[bool] = True
+    takes_tolerance: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.sequence not in SEQUENCES:

@@ -25,6 +25,7 @@ class GaussSeidel(Coupling):
     name: ClassVar[str] = "gauss_seidel"
     needs_derivatives: ClassVar[bool] = False
     lands_on_events: ClassVar[bool] = False
+    takes_tolerance: ClassVar[bool] = False
 
     @property
     def rolls_back(self) -> bool:

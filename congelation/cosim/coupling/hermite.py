@@ -78,6 +78,7 @@ class Hermite(Coupling):
     name: ClassVar[str] = "hermite"
     needs_derivatives: ClassVar[bool] = True
     lands_on_events: ClassVar[bool] = True
+    takes_tolerance: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         if self.acceleration not in ACCELERATIONS:

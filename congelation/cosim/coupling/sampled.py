@@ -42,6 +42,7 @@ class Sampled(Coupling):
     name: ClassVar[str] = "sampled"
     needs_derivatives: ClassVar[bool] = False
     lands_on_events: ClassVar[bool] = False
+    takes_tolerance: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.sample_time) and self.sample_time > 0.0):
