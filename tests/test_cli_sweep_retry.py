@@ -33,7 +33,7 @@ timeout = 1
 trajectories = true
 [[sweep.axes]]
 set = "experiment.stop_time"
-values = [0.1, 250]
+values = [0.1, 1000]
 """
 LONGER = ("timeout = 1", "timeout = 300")
 
@@ -44,7 +44,7 @@ def test_runs_that_timed_out_are_done_again_with_a_longer_timeout(tmp_path: Path
     assert sweep(file, out).returncode == 0
     before = {row["run_id"]: row for row in rows(out)}
     ended = {(row["experiment.stop_time"], row["status"]) for row in before.values()}
-    assert ended == {(0.1, "COMPLETED"), (250.0, "TIMED_OUT")}
+    assert ended == {(0.1, "COMPLETED"), (1000.0, "TIMED_OUT")}
     parts = {part: part.stat().st_mtime_ns for part in (out / "parts").iterdir()}
 
     file = write(tmp_path, SCALAR + UNEVEN, LONGER)

@@ -18,6 +18,7 @@ from typing import Any
 from congelation.cosim.result import Status
 from congelation.study.execute import lost_row
 from congelation.study.executors import Processes, Workers
+from congelation.study.interrupt import deferred_interrupts
 from congelation.study.store import Store
 from congelation.study.sweep_plan import WORKER_DIED, Plan, write_index
 from congelation.study.workers import Done, Task, Work, work
@@ -161,7 +162,11 @@ def _together(
 
 def _submit(executor: Executor, shared: Work, chunk: list[Task]) -> Future[Done]:
     try:
-        return executor.submit(work, shared, chunk)
+        # An executor whose threads are only half started cannot be shut down.
+        with deferred_interrupts() as check:
+            future = executor.submit(work, shared, chunk)
+            check()
+        return future
     except BrokenExecutor as error:  # a worker died after the last wait
         failed: Future[Done] = Future()
         failed.set_exception(error)
