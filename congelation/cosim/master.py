@@ -17,7 +17,7 @@ from congelation.cosim.output import Output
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recorder import Memory, Recorder
 from congelation.cosim.result import Result, RunEnded, Statistics, Status
-from congelation.cosim.rows import Several
+from congelation.cosim.rows import Rows, Several
 from congelation.cosim.session import Progress, Session
 from congelation.cosim.states import require_states
 from congelation.cosim.system import ResolvedSystem, System
@@ -96,11 +96,7 @@ def simulate(
     outputs = _outputs(output)
     chosen = _coupling(coupling, options)
     _check_times(start_time, stop_time, step, tolerance)
-    periods = [("step", step), *chosen.periods.items()]
-    periods += [("output interval", output.interval) for output in outputs]
-    for name, period in periods:
-        if period is not None:
-            _check_period(name, period, start_time, stop_time)
+    _check_periods(start_time, stop_time, step, chosen, outputs)
     resolved = system.resolve()
     _check_abilities(resolved, chosen, (start_time, stop_time), step, tolerance)
     recorded = resolved.recorded(record)
@@ -121,9 +117,7 @@ def simulate(
                 slopes=any(output.interval is not None for output in outputs),
                 events=chosen.lands_on_events,
             )
-            pairs = zip(outputs, recorders, strict=True)
-            parts = [output.rows(ensemble, recorder) for output, recorder in pairs]
-            rows = parts[0] if len(parts) == 1 else Several(parts)
+            rows = _rows(ensemble, outputs, recorders)
             session = Session(ensemble, chosen, start_time, stop_time, tolerance, rows, progress)
             outcome = _outcome(session, step, tolerance, slave_tolerance)
             statistics = session.statistics(clock.perf_counter() - begin)
@@ -178,6 +172,21 @@ def _check_times(
         raise InvalidInput(f"tolerance {tolerance:g} must lie between 0 and 1")
 
 
+def _check_periods(
+    start_time: float,
+    stop_time: float,
+    step: float | None,
+    coupling: Coupling,
+    outputs: Sequence[Output],
+) -> None:
+    """Refuse what would make more points than a run can have, or than times can tell apart."""
+    periods = [("step", step), *coupling.periods.items()]
+    periods += [("output interval", output.interval) for output in outputs]
+    for name, period in periods:
+        if period is not None:
+            _check_period(name, period, start_time, stop_time)
+
+
 def _check_period(name: str, period: float, start_time: float, stop_time: float) -> None:
     if not (math.isfinite(period) and period > 0.0):
         raise InvalidInput(f"{name} {period:g} must be positive and finite, in seconds")
@@ -198,6 +207,13 @@ def _outputs(output: Output | Sequence[Output] | None) -> tuple[Output, ...]:
     if not output or any(further.sink is None for further in output[1:]):
         raise InvalidInput("of several outputs, all but the first need a sink")
     return tuple(output)
+
+
+def _rows(ensemble: Ensemble, outputs: Sequence[Output], recorders: Sequence[Recorder]) -> Rows:
+    """What takes the points of a run and hands rows to every recorder."""
+    pairs = zip(outputs, recorders, strict=True)
+    parts = [output.rows(ensemble, recorder) for output, recorder in pairs]
+    return parts[0] if len(parts) == 1 else Several(parts)
 
 
 def _coupling(coupling: str | Coupling, options: Mapping[str, object] | None) -> Coupling:
