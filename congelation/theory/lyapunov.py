@@ -63,8 +63,8 @@ def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
     V_x_tilde, g = _estimation_error_function(values, n - m)
 
     delta, delta_1 = values["delta"].item(), values["delta_1"].item()
-    certified = bool(values["certified"].item()) and delta > 0
-    weight = (1 + delta_1 / (g * delta) if certified else 1) * np.sum(1 / (4 * values["d"]))
+    corrected = bool(values["corrected"].item()) and delta > 0
+    weight = (1 + delta_1 / (g * delta) if corrected else 1) * np.sum(1 / (4 * values["d"]))
     sign, rho_hat = values["sign_b_m"].item(), _state(loop, "rho_hat")
     V = (
         ca.sumsqr(z) / 2

@@ -47,7 +47,7 @@ class OutputFeedbackSymbols:
     delta: Variables
     delta_1: Variables
     damping: Variables
-    certified: Variables
+    corrected: Variables
     sign_b_m: Variables
 
 
@@ -163,7 +163,7 @@ def output_feedback_design(
         delta=scalar("delta", "Radius of a(t), Assumption 2"),
         delta_1=scalar("delta_1", "Radius of a_(n-1)(t) alone, at most delta"),
         damping=scalar("damping", "True: Controller 1, with damping; false: Controller 2"),
-        certified=scalar("certified", "True: corrected damping; false: as printed in (59)"),
+        corrected=scalar("corrected", "True: corrected damping; false: as printed in (59)"),
         sign_b_m=scalar("sign_b_m", "Sign of the high-frequency gain b_m, Assumption 3"),
     )
     filter_design = filter_factory(n)
@@ -192,7 +192,7 @@ def _damping(design: OutputFeedbackDesign) -> ca.SX:
     estimation = design.filter_design.disturbance_gain * symbols.delta.symbol  # r epsilon delta
     corrected = (estimation + symbols.delta_1.symbol) ** 2
     printed = estimation**2 / 2  # (59)
-    choice = ca.SX(symbols.certified.symbol)
+    choice = ca.SX(symbols.corrected.symbol)
     weight = ca.sum1(1 / (4 * symbols.d.symbol))
     return -symbols.damping.symbol * (choice * corrected + (1 - choice) * printed) * weight
 
@@ -327,7 +327,7 @@ def output_feedback_model(design: OutputFeedbackDesign) -> Model:
             Parameter(symbols.delta, (1.0,), Domain.NONNEGATIVE),
             Parameter(symbols.delta_1, (1.0,), Domain.NONNEGATIVE),
             Parameter(symbols.damping, (1.0,), Domain.BOOLEAN),
-            Parameter(symbols.certified, (1.0,), Domain.BOOLEAN),
+            Parameter(symbols.corrected, (1.0,), Domain.BOOLEAN),
             Parameter(symbols.sign_b_m, (1.0,), Domain.SIGN),
             *design.adaptation.parameters,
             *design.rho_adaptation.parameters,

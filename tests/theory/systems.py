@@ -66,7 +66,7 @@ def random_output_feedback_parameters(
         "delta": delta,
         "delta_1": delta * rng.uniform(0, 1),
         "damping": 1.0,
-        "certified": 1.0,
+        "corrected": 1.0,
         "sign_b_m": float(rng.choice([-1, 1])),
     }
 

@@ -107,7 +107,7 @@ def test_search_is_repeatable_and_names_the_states():
 
 
 def test_ascent_finds_what_sampling_alone_does_not():
-    parameters = {"c": [0.8, 0.8], "d": [0.2, 0.2], "r": 11.0, "epsilon": 0.1, "certified": 0}
+    parameters = {"c": [0.8, 0.8], "d": [0.2, 0.2], "r": 11.0, "epsilon": 0.1, "corrected": 0}
     parameters |= {"delta": math.sqrt(2), "delta_1": 1.0}
     loop = close(observer_form_plant(), output_feedback_controller(), parameters)
     certificate = output_feedback_certificate(loop)

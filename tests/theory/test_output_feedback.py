@@ -33,7 +33,7 @@ def zeta_by_hand(p):
     """The coefficient of the damping, corrected or as printed."""
     weight = sum(1 / (4 * d) for d in p["d"])
     g = p["r"] * p["epsilon"] * p["delta"]
-    strength = (g + p["delta_1"]) ** 2 if p["certified"] else g**2 / 2
+    strength = (g + p["delta_1"]) ** 2 if p["corrected"] else g**2 / 2
     return -p["damping"] * strength * weight
 
 
@@ -72,7 +72,7 @@ def test_law_equals_the_hand_derivation(n, by_hand, seed):
     rng = np.random.default_rng(seed)
     model = output_feedback_controller(n, 0)
     parameters = random_output_feedback_parameters(rng, n, 0)
-    parameters |= {name: float(rng.integers(0, 2)) for name in ("damping", "certified")}
+    parameters |= {name: float(rng.integers(0, 2)) for name in ("damping", "corrected")}
     k = iss_filter_gain(parameters["r"], parameters["epsilon"], n=n)
     values = parameters | random_state(rng, model) | {"k": k}
     rates = {s.variables.name: s.rate for s in model.states}
@@ -150,18 +150,18 @@ def test_corrected_proposition_2_holds_at_random_states(degree, seed):
 
 
 @pytest.mark.parametrize(("r", "epsilon"), [(5.0, math.sqrt(0.1)), (11.0, 0.1)])
-@pytest.mark.parametrize("certified", [True, False])
-def test_search_tells_the_corrected_from_the_printed_damping(r, epsilon, certified):
+@pytest.mark.parametrize("corrected", [True, False])
+def test_search_tells_the_corrected_from_the_printed_damping(r, epsilon, corrected):
     """The gains of Sec. V, in both readings."""
     parameters = {"c": [0.8, 0.8], "d": [0.2, 0.2], "r": r, "epsilon": epsilon}
-    parameters |= {"delta": math.sqrt(2), "delta_1": 1.0, "certified": certified}
+    parameters |= {"delta": math.sqrt(2), "delta_1": 1.0, "corrected": corrected}
     finding = output_feedback_certificate(loop_of(2, 0, parameters)).search(seed=1)
-    assert finding.violated is not certified
+    assert finding.violated is not corrected
 
 
 @pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2)])
 def test_printed_59_is_violated_for_every_order(n, m):
-    parameters = {"delta": 2.0, "delta_1": 1.5, "certified": 0}
+    parameters = {"delta": 2.0, "delta_1": 1.5, "corrected": 0}
     assert output_feedback_certificate(loop_of(n, m, parameters)).search(seed=2).violated
 
 

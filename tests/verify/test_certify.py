@@ -30,12 +30,12 @@ def test_controller_2_is_caught():
     assert found.finding.margin.value > 0.0
 
 
-@pytest.mark.parametrize(("certified", "violated"), [("true", False), ("false", True)])
-def test_printed_damping_is_caught(tmp_path, certified, violated):
+@pytest.mark.parametrize(("corrected", "violated"), [("true", False), ("false", True)])
+def test_printed_damping_is_caught(tmp_path, corrected, violated):
     """(59) as printed fails where the corrected damping of the same gains holds."""
     text = (ROOT / "specs" / "output_feedback.toml").read_text("utf-8")
     file = tmp_path / "spec.toml"
-    file.write_text(text.replace("start = {c =", f"start = {{certified = {certified}, c ="))
+    file.write_text(text.replace("start = {c =", f"start = {{corrected = {corrected}, c ="))
     (design,) = designs_of(file)
     assert certify(design, samples=200).finding.violated is violated
 
