@@ -1,13 +1,14 @@
-"""Whether files can be written where the user wants them, asked before the work is done."""
+"""Where the data files of the package are, and whether files can be written somewhere."""
 
 from __future__ import annotations
 
+import importlib.resources
 import tempfile
 from pathlib import Path
 
 from congelation.errors import InvalidInput
 
-__all__ = ["check_file", "check_folder"]
+__all__ = ["check_file", "check_folder", "shipped"]
 
 
 def check_folder(option: str, folder: Path) -> None:
@@ -41,3 +42,13 @@ def check_file(option: str, file: Path) -> None:
     if file.is_dir():
         raise InvalidInput(f"{option} {file}: this is a folder; give the name of a file")
     check_folder(option, file.parent)
+
+
+def shipped(name: str) -> Path:
+    """The folder `name` of those that come with the package: fmu_src, specs or scenarios.
+
+    In a wheel they are inside the package, in a checkout at its top level.
+    """
+    package = Path(str(importlib.resources.files("congelation")))
+    inside = package / "shipped" / name
+    return inside if inside.is_dir() else package.parent / name

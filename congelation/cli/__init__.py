@@ -1,20 +1,21 @@
 """The command line: ``congelation COMMAND``; every command is a thin layer over the packages.
 
-Exit codes: 0 done; 1 a run failed or a check did not hold; 2 the input or the usage is wrong;
-130 interrupted. What a user can set right is one line on stderr, never a traceback.
+The exit codes are those of `congelation.cli.shared.EXIT_CODES`. What a user can set right is one
+line on stderr, never a traceback.
 """
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from typing import Annotated
 
 import typer
 
-from congelation.cli.designs import certify
+from congelation.cli.designs import build, certify, examples, info, new
 from congelation.cli.results import export, ls, report, show
 from congelation.cli.runs import export_ssp, run, sweep
-from congelation.cli.shared import BAD_INPUT, FAILED, complain
+from congelation.cli.shared import BAD_INPUT, EXIT_CODES, FAILED, complain, interruptible
 from congelation.conformance.command import check
 from congelation.errors import CongelationError, InvalidInput
 from congelation.results.identity import code_version
@@ -27,16 +28,32 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Exit codes: "
+    + "; ".join(f"{code} {meaning}" for code, meaning in EXIT_CODES.items())
+    + ".",
 )
-for command in (run, sweep, report, ls, show, export, certify, check):
-    app.command()(command)
-app.command("export-ssp")(export_ssp)
+for command in (
+    new,
+    examples,
+    build,
+    info,
+    certify,
+    run,
+    sweep,
+    report,
+    ls,
+    show,
+    export,
+    check,
+):
+    app.command()(interruptible(command))
+app.command("export-ssp")(interruptible(export_ssp))
 
 
-def main() -> None:
-    """Run the command line and exit."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line, with the arguments of the process unless others are given, and exit."""
     try:
-        app()
+        app(arguments if arguments is None else list(arguments))
     except InvalidInput as error:
         complain(str(error))
         sys.exit(BAD_INPUT)

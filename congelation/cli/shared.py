@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+import enum
+import functools
+import json
+import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, ParamSpec, TypeVar
 
+import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
@@ -15,16 +23,32 @@ from congelation.results.store import Store
 
 __all__ = [
     "BAD_INPUT",
+    "EXIT_CODES",
     "FAILED",
     "INTERRUPTED",
+    "VIOLATED",
     "as_status",
     "complain",
+    "interruptible",
     "print_figures",
+    "print_json",
     "print_summary",
     "print_table",
 ]
 
-FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+DONE, FAILED, BAD_INPUT, VIOLATED, INTERRUPTED = 0, 1, 2, 3, 130
+
+EXIT_CODES: Mapping[int, str] = {
+    DONE: "done",
+    FAILED: "a run failed, or a check found something",
+    BAD_INPUT: "the input or the usage is wrong",
+    VIOLATED: "a certificate is violated",
+    INTERRUPTED: "interrupted",
+}
+"""What the exit codes mean: the same for every command."""
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 # Characters that the labels and one column of a table are expected to take.
 LABEL_WIDTH, COLUMN_WIDTH = 28, 16
@@ -33,6 +57,42 @@ LABEL_WIDTH, COLUMN_WIDTH = 28, 16
 def complain(text: str) -> None:
     """One line on stderr."""
     print(f"congelation: {' '.join(text.split())}", file=sys.stderr)
+
+
+def interruptible(command: Callable[P, R]) -> Callable[P, R]:
+    """A command that ends with a line and the exit code of its own when it is interrupted."""
+
+    @functools.wraps(command)
+    def wrapped(*arguments: P.args, **options: P.kwargs) -> R:
+        try:
+            return command(*arguments, **options)
+        except KeyboardInterrupt as error:
+            complain("interrupted")
+            raise typer.Exit(INTERRUPTED) from error
+
+    return wrapped
+
+
+def print_json(value: object) -> None:
+    """A dataclass, or what JSON has, as JSON on stdout; what is not finite becomes null."""
+    print(json.dumps(_plain(value), indent=1, ensure_ascii=False, allow_nan=False))
+
+
+def _plain(value: Any) -> object:
+    """`value` in what JSON has."""
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        fields = dataclasses.fields(value)
+        return {field.name: _plain(getattr(value, field.name)) for field in fields}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, Path):
+        return str(value)
+    # JSON has neither infinity nor nan.
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def as_status(text: str) -> str:

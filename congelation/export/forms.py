@@ -36,8 +36,6 @@ class Form:
         What its structure holds.
     plant, controller : callable
         From the structure to the model; the controller takes the law of its estimates too.
-    plant_folder, controller_folder : str
-        In fmu_src.
     optional : mapping
         Keys that may be left out, and what they then are.
     """
@@ -45,8 +43,6 @@ class Form:
     keys: tuple[str, ...]
     plant: Callable[[Structure], Model]
     controller: Callable[[Structure, AdaptationFactory], Model]
-    plant_folder: str
-    controller_folder: str
     optional: Mapping[str, object] = field(default_factory=dict)
 
     def models(self, structure: Structure) -> tuple[Model, Model, Special]:
@@ -77,29 +73,21 @@ FORMS: Mapping[str, Form] = {
         (),
         lambda s: scalar_plant(),
         lambda s, law: scalar_controller(law),
-        "scalar_plant",
-        "scalar_controller",
     ),
     "matched": Form(
         ("A", "B"),
         lambda s: matched_plant(s["A"], s["B"]),
         lambda s, law: matched_controller(s["A"], s["B"], law),
-        "matched_plant",
-        "matched_controller",
     ),
     "strict-feedback": Form(
         ("n", "p", "phibar"),
         lambda s: strict_feedback_plant(s["phibar"]),
         lambda s, law: state_feedback_controller(s["phibar"], law),
-        "strict_feedback_plant",
-        "state_feedback_controller",
     ),
     "observer": Form(
         ("n", "m", "filter"),
         lambda s: observer_form_plant(_order(s, "n"), _order(s, "m")),
         lambda s, law: output_feedback_controller(_order(s, "n"), _order(s, "m"), law, _filter(s)),
-        "observer_form_plant",
-        "output_feedback_controller",
         {"filter": "iss"},
     ),
 }

@@ -32,6 +32,7 @@ The forms and the keys of their structure:
 
 from __future__ import annotations
 
+import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
@@ -39,14 +40,14 @@ from pathlib import Path
 
 import numpy as np
 
-from congelation.errors import nearest
-from congelation.export.defaults import check_defaults
+from congelation.errors import InvalidInput, nearest
 from congelation.export.equations import Special
 from congelation.export.forms import FORMS, Form, Structure
 from congelation.export.interface import ProfileSlots
 from congelation.fmi.units import base_unit
 from congelation.signals import Profile, Slots
 from congelation.theory.model import Model
+from congelation.theory.values import complete_values
 from congelation.toml import Section, read_document
 
 __all__ = ["FmuSpec", "Spec", "read_spec"]
@@ -65,8 +66,6 @@ class FmuSpec:
     ----------
     name : str
         Of the FMU.
-    folder : str
-        Its folder in fmu_src, with its slave.
     model : Model
         With the defaults of the spec.
     special : Special or None
@@ -76,7 +75,6 @@ class FmuSpec:
     """
 
     name: str
-    folder: str
     model: Model
     special: Special | None = None
     profiles: tuple[ProfileSlots, ...] = ()
@@ -84,8 +82,20 @@ class FmuSpec:
 
 @dataclass(frozen=True)
 class Spec:
-    """What `read_spec` read; `form` and `structure` are what the models are derived from."""
+    """What to build FMUs of, as `read_spec` read it.
 
+    Attributes
+    ----------
+    name : str
+        Of the file, without its suffix.
+    title : str
+        Of the system, for people.
+    form, structure
+        What the models are derived from; see `congelation.export.forms`.
+    plant, controller : FmuSpec
+    """
+
+    name: str
     title: str
     form: str
     structure: Structure
@@ -112,14 +122,14 @@ def read_spec(file: Path) -> Spec:
     units = _units(top.section("units"), plant, controller)
     sections = top.section("plant"), top.section("controller")
     blocks = (
-        _plant(sections[0], form.plant_folder, plant.with_units(units), file.parent),
-        _block(sections[1], form.controller_folder, controller.with_units(units), special),
+        _plant(sections[0], plant.with_units(units), file.parent),
+        _block(sections[1], controller.with_units(units), special),
     )
     if blocks[0].name.lower() == blocks[1].name.lower():
         raise sections[1].error(
             "name", f"= '{blocks[1].name}' is the plant's too; give the two FMUs different names"
         )
-    return Spec(top.text("title", file.stem), name, structure, *blocks)
+    return Spec(file.stem, top.text("title", file.stem), name, structure, *blocks)
 
 
 def _structure(section: Section, form: Form) -> Structure:
@@ -198,7 +208,7 @@ def _units(section: Section, *models: Model) -> Units:
     return {"theta_hat": units["theta"], **units} if "theta" in units else units
 
 
-def _block(section: Section, folder: str, model: Model, special: Special | None) -> FmuSpec:
+def _block(section: Section, model: Model, special: Special | None) -> FmuSpec:
     section.only(("name", "start"))
     name = section.text("name", model.name)
     if not name.isidentifier():
@@ -206,14 +216,14 @@ def _block(section: Section, folder: str, model: Model, special: Special | None)
     start = section.section("start")
     changed = start.attempt("", lambda: model.with_defaults(start.data))
     # An FMU whose own defaults it would refuse is not built.
-    start.attempt("", lambda: check_defaults(model, start.data, special))
-    return FmuSpec(name, folder, changed, special)
+    start.attempt("", lambda: _check_defaults(model, start.data, special))
+    return FmuSpec(name, changed, special)
 
 
-def _plant(section: Section, folder: str, model: Model, base: Path) -> FmuSpec:
+def _plant(section: Section, model: Model, base: Path) -> FmuSpec:
     section.only(("name", "start", "profile"))
     own = {key: value for key, value in section.data.items() if key != "profile"}
-    block = _block(Section(section.file, section.path, own), folder, model, None)
+    block = _block(Section(section.file, section.path, own), model, None)
     names = model.theta.names if model.theta is not None else ()
     table = section.section("profile").only(names)
     profiles = tuple(_profile(table, name, base) for name in names)
@@ -235,3 +245,61 @@ def _slots(profile: Profile) -> Slots:
         max(room.chirps, kinds.count("chirp")),
         max(room.telegraphs, kinds.count("telegraph")),
     )
+
+
+def _check_defaults(
+    model: Model, given: Mapping[str, object], special: Special | None = None
+) -> None:
+    """Refuse defaults with which an FMU would refuse itself.
+
+    Parameters
+    ----------
+    model : Model
+        With the defaults of its form.
+    given : mapping
+        The spec's own, as `Model.with_defaults` takes them.
+    special : Special, optional
+        The equations that take the place of the model's at some values.
+
+    Raises
+    ------
+    InvalidInput
+        If a value is outside its domain, a gain does not exist, or the rates and outputs at the
+        start are not finite; the text names the values without which they are.
+    """
+    lost = _not_finite(model.with_defaults(given), special)
+    if not lost:
+        return
+    culprits = [name for name in given if _mends(model, given, name, special)] or list(given)
+    named = ", ".join(f"{name} = {reprlib.repr(given[name])}" for name in culprits)
+    raise InvalidInput(
+        f"{named} cannot be used: {', '.join(lost)} would not be finite at the start; "
+        "give values that are neither as large nor as small"
+    )
+
+
+def _mends(model: Model, given: Mapping[str, object], name: str, special: Special | None) -> bool:
+    """Whether everything is finite without the given value of `name`."""
+    fewer = {key: value for key, value in given.items() if key != name}
+    try:
+        return not _not_finite(model.with_defaults(fewer), special)
+    except InvalidInput:
+        return False
+
+
+def _not_finite(model: Model, special: Special | None) -> list[str]:
+    """Names of the rates, outputs and their derivatives that are not finite at the start."""
+    values = complete_values(model)
+    is_special = special is not None and all(
+        values[name] == value for name, value in special.values.items()
+    )
+    used = special.model if special is not None and is_special else model
+    start = {s.variables.name: s.start for s in model.states}
+    named = {f"der({s.variables.name})": s.rate for s in used.states}
+    for output in used.outputs:
+        symbol, name = output.variables.symbol, output.variables.name
+        named[name] = symbol
+        if output.differentiated:
+            named[f"der({name})"] = used.total_derivative(symbol)
+    numbers = used.evaluate(list(named.values()), {**values, **start})
+    return [name for name, n in zip(named, numbers, strict=True) if not np.isfinite(n).all()]

@@ -22,9 +22,28 @@ from congelation.export.spec import FmuSpec, Spec
 
 __all__ = ["Staged", "stage"]
 
-# Stands for the FMU's own package in the sources under fmu_src.
-_SHARED = "_shared"
+# Hex digits of the hash in a package's name: 64 bits, so no two builds share one.
 _DIGITS = 16
+
+# The module that PythonFMU's library loads by name; all else is in the FMU's package.
+_SLAVE = """\
+from {package}.{module} import {base}
+
+__all__ = ["{name}"]
+
+
+class {name}({base}):
+    \"\"\"{description}.\"\"\"
+
+    # The library makes this class anew for every instance and never frees it, and each time it
+    # drops a reference to this module's globals that it does not own. Two functions hold two:
+    # with one, the globals are freed too early and the host can crash at its exit.
+    def __init__(self, **kwargs):
+        super().__init__(**kwargs)
+
+    def __repr__(self):
+        return f"<{{self.modelName}} {{self.instance_name}}>"
+"""
 
 
 @dataclass(frozen=True)
@@ -32,7 +51,6 @@ class Staged:
     """A staged FMU: where its files lie, under which names, with which variables."""
 
     name: str
-    description: str
     package: str
     digest: str
     slave: Path
@@ -57,49 +75,53 @@ def stage(fmu: FmuSpec, spec: Spec, sources: Path, folder: Path) -> Staged:
         An empty folder.
     """
     interface = interface_of(fmu.model, fmu.profiles)
-    modules = _modules(fmu, interface, sources)
+    is_plant = fmu.model.theta is not None
+    equations = (sources / "equations" / f"{fmu.model.name}.html").read_text("utf-8")
+    page = _page(fmu, interface, equations)
+    icon = (sources / ("plant.png" if is_plant else "controller.png")).read_bytes()
     about = json.dumps(_about(fmu, spec), indent=1, sort_keys=True) + "\n"
-    page = _page(fmu, interface, (sources / fmu.folder / "equations.html").read_text("utf-8"))
-    icon = (sources / ("controller.png" if fmu.model.theta is None else "plant.png")).read_bytes()
-    digest = _digest({**modules, "spec.json": about, "index.html": page})
+
+    # Every module of the FMU: the run time, the profiles of theta(t), what is generated.
+    modules = {file.name: file.read_text("utf-8") for file in (sources / "python").glob("*.py")}
+    for file in Path(signals.__file__).parent.glob("*.py"):
+        modules[f"signals/{file.name}"] = file.read_text("utf-8")
+    modules["equations.py"] = equations_module(fmu.model, fmu.special)
+    modules["interface.py"] = _interface_module(fmu, interface)
+
+    # The slave and the key of serialised states name the hash, so they cannot be part of it.
+    digest = _digest({**modules, "slave.py": _SLAVE, "spec.json": about, "index.html": page})
     package = f"congelation_{digest[:_DIGITS]}"
-    package_folder = folder / package
-    package_folder.mkdir(parents=True)
+    modules["interface.py"] += f"KEY = {f'{fmu.name} {digest}'!r}\n"
     for name, text in modules.items():
-        if name != "slave.py":
-            text = text.replace('KEY = ""', f'KEY = "{fmu.name} {digest}"')
-            file = package_folder / name
-            file.parent.mkdir(exist_ok=True)
-            file.write_text(text, "utf-8")
+        file = folder / package / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, "utf-8")
     slave = folder / f"{package}_slave.py"
-    slave.write_text(modules["slave.py"].replace(f"from {_SHARED}.", f"from {package}."), "utf-8")
+    module, base = ("plant", "Plant") if is_plant else ("block", "Block")
+    slave.write_text(
+        _SLAVE.format(
+            package=package,
+            module=module,
+            base=base,
+            name=fmu.model.name,
+            description=fmu.model.description.replace("\\", "\\\\").replace('"', "'"),
+        ),
+        "utf-8",
+    )
     (folder / "spec.json").write_text(about, "utf-8")
     documentation = folder / "documentation"
     documentation.mkdir()
     (documentation / "index.html").write_text(page, "utf-8")
     return Staged(
         fmu.name,
-        fmu.model.description,
         package,
         digest,
         slave,
-        (package_folder, folder / "spec.json"),
+        (folder / package, folder / "spec.json"),
         documentation,
         icon,
         interface,
     )
-
-
-def _modules(fmu: FmuSpec, interface: Interface, sources: Path) -> dict[str, str]:
-    """File, relative to the FMU's package, and text of every module of the FMU."""
-    files = sorted((sources / _SHARED).glob("*.py"))
-    modules = {file.name: file.read_text("utf-8") for file in files}
-    for file in sorted(Path(signals.__file__).parent.glob("*.py")):
-        modules[f"signals/{file.name}"] = file.read_text("utf-8")
-    modules["slave.py"] = (sources / fmu.folder / "slave.py").read_text("utf-8")
-    modules["equations.py"] = equations_module(fmu.model, fmu.special)
-    modules["interface.py"] = _interface_module(fmu, interface)
-    return modules
 
 
 def _digest(texts: Mapping[str, str]) -> str:
@@ -167,11 +189,14 @@ def _interface_module(fmu: FmuSpec, interface: Interface) -> str:
         "",
         "from __future__ import annotations",
         "",
-        "from .variable import Variable",
+        "from collections import namedtuple",
         "",
+        "# A variable's place in the table is its value reference.",
+        "Variable = namedtuple(",
+        '    "Variable", "name type causality variability initial start description"',
+        ")",
         f"NAME = {fmu.name!r}",
         f"DESCRIPTION = {model.description!r}",
-        'KEY = ""',
         "VARIABLES = tuple(",
         "    Variable(*row)",
         f"    for row in {pprint.pformat(rows, width=120, sort_dicts=False)}",

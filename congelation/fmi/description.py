@@ -102,7 +102,9 @@ def describe(path: Path) -> Description:
     """
     path = Path(path)
     if not path.is_file():
-        raise InvalidInput(f"no FMU at {path}; run `python build_fmu.py`, or correct the path")
+        raise InvalidInput(
+            f"no FMU at {path}; build it with: congelation build SPEC.toml; or correct the path"
+        )
     status = path.stat()
     key = (os.path.abspath(path), status.st_mtime_ns, status.st_size)
     if key not in _DESCRIPTIONS:

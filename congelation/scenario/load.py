@@ -51,7 +51,7 @@ _RESERVED = (
     "seed",
     "code_version",
 )
-_BUILD = "build it with: python build_fmu.py"
+_BUILD = "build it with: congelation build SPEC.toml"
 
 
 def load_scenario(file: Path) -> Scenario:

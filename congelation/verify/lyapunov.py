@@ -56,7 +56,7 @@ def loop_states(case: Case) -> tuple[str, ...]:
     Raises
     ------
     InvalidInput
-        If the system is no loop of a plant and its controller, both from build_fmu.py.
+        If the system is no loop of a plant and its controller, both from `congelation build`.
     """
     return reference(case).state_names
 
@@ -75,7 +75,7 @@ def along(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> A
     Raises
     ------
     InvalidInput
-        If the system is no loop of a plant and its controller, both from build_fmu.py.
+        If the system is no loop of a plant and its controller, both from `congelation build`.
     """
     found = reference(case)
     certificate = certificate_of(found.loop)

@@ -1,6 +1,6 @@
 """Verification: the closed loop of a run solved as one differential equation, by other means.
 
-Every FMU of build_fmu.py carries the structure that its equations were derived from, in
+Every FMU of `congelation build` carries the structure that its equations were derived from, in
 ``resources/spec.json``. From it the theory derives plant and controller anew, closes the loop
 without any co-simulation, and scipy solves it to 1e-10, stopping at every jump of theta(t).
 """
@@ -122,7 +122,7 @@ def reference(case: Case) -> Reference:
     Raises
     ------
     InvalidInput
-        If the system is no loop of a plant and its controller, both from build_fmu.py.
+        If the system is no loop of a plant and its controller, both from `congelation build`.
     """
     plant, controller = _loop_members(case.system)
     models = _models(plant, controller)
@@ -189,7 +189,8 @@ def _spec(component: Component) -> dict[str, Any]:
             spec: dict[str, Any] = json.loads(archive.read("resources/spec.json"))
     except KeyError as error:
         raise InvalidInput(
-            f"{component.fmu.name} has no resources/spec.json; only FMUs of build_fmu.py have one"
+            f"{component.fmu.name} has no resources/spec.json; only FMUs of `congelation build` "
+            "have one"
         ) from error
     return spec
 

@@ -69,7 +69,7 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
     line = one_line(congelation("run", unknown), 2)
     assert "loop.toml: experiment.stop_tme is not known here; did you mean 'stop_time'?" in line
     missing = write(tmp_path, SCALAR, (f"{FMUS}/ScalarPlant.fmu", "ScalarPlantt"))
-    assert "python build_fmu.py" in one_line(congelation("run", missing, folder=tmp_path), 2)
+    assert "congelation build" in one_line(congelation("run", missing, folder=tmp_path), 2)
     assert "no such file" in one_line(congelation("run", tmp_path / "absent.toml"), 2)
     good = write(tmp_path)
     (tmp_path / "file").write_text("")

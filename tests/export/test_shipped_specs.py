@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import build_fmu
 from congelation.cosim import Component, Connection, Status, System, simulate
+from congelation.export.build import build
 from congelation.export.spec import read_spec
 
 SPECS = sorted((Path(__file__).resolve().parents[2] / "specs").glob("*.toml"))
@@ -16,7 +16,7 @@ SPECS = sorted((Path(__file__).resolve().parents[2] / "specs").glob("*.toml"))
 
 @pytest.mark.parametrize("file", SPECS, ids=lambda file: file.stem)
 def test_closed_loop(file, tmp_path):
-    build_fmu.build_spec(file, read_spec(file), tmp_path)
+    build(file, out=tmp_path)
     spec = read_spec(file)
     measured = spec.controller.model.inputs[0].variables.name
     plant = Component("plant", tmp_path / f"{spec.plant.name}.fmu", {})

@@ -33,6 +33,13 @@ start = {c = [1, 2]}
 HUGE = "1" + 400 * "0"
 
 
+def exit_code(*arguments):
+    """That of build_fmu.py."""
+    with pytest.raises(SystemExit) as ended:
+        build_fmu.main([str(argument) for argument in arguments])
+    return ended.value.code
+
+
 def read(folder, text):
     file = folder / "spec.toml"
     file.write_text(text)
@@ -91,7 +98,7 @@ def test_infeasible_gains_are_refused(tmp_path, capsys):
     assert changed != text
     file = tmp_path / "infeasible.toml"
     file.write_text(changed)
-    assert build_fmu.main(["--spec", str(file), "--out", str(tmp_path)]) == 2
+    assert exit_code("--spec", file, "--out", tmp_path) == 2
     assert "the smallest feasible r is 10.0499" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.fmu"))
 
@@ -115,8 +122,8 @@ def test_gains_out_of_reach_are_one_line(tmp_path, start, message):
 
 def test_two_specs_of_equal_names_are_refused(tmp_path, capsys):
     file = str(ROOT / "specs" / "scalar.toml")
-    assert build_fmu.main(["--spec", file, "--spec", file, "--out", str(tmp_path)]) == 2
-    assert "'ScalarPlant' is an FMU of" in capsys.readouterr().err
+    assert exit_code("--spec", file, "--spec", file, "--out", tmp_path) == 2
+    assert "'ScalarPlant' is an FMU of spec 'scalar' too" in capsys.readouterr().err
     assert not list(tmp_path.glob("*.fmu"))
 
 
@@ -124,16 +131,16 @@ def test_a_place_that_takes_no_files_is_one_line(tmp_path, capsys):
     spec = str(ROOT / "specs" / "scalar.toml")
     (tmp_path / "file").touch()
     for place in (tmp_path / "file", tmp_path / "file" / "below", Path("/proc/x")):
-        assert build_fmu.main(["--spec", spec, "--out", str(place)]) == 2
+        assert exit_code("--spec", spec, "--out", place) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert line.startswith(f"build_fmu.py: --out {place}: no files can be written there")
+        assert line.startswith(f"congelation: --out {place}: no files can be written there")
 
 
 def test_a_foreign_manifest_is_one_line(tmp_path, capsys):
     (tmp_path / "manifest.json").write_text("[]")
     spec = str(ROOT / "specs" / "scalar.toml")
-    assert build_fmu.main(["--spec", spec, "--out", str(tmp_path)]) == 2
-    assert "manifest.json was not written by build_fmu.py" in capsys.readouterr().err
+    assert exit_code("--spec", spec, "--out", tmp_path) == 2
+    assert "manifest.json was not written by `congelation build`" in capsys.readouterr().err
 
 
 def test_a_python_without_the_packages_is_told_what_to_do():
@@ -151,5 +158,5 @@ def test_a_python_without_the_packages_is_told_what_to_do():
 
 
 def test_command(tmp_path, capsys):
-    assert build_fmu.main(["--spec", str(tmp_path / "none.toml")]) == 2
+    assert exit_code("--spec", tmp_path / "none.toml") == 2
     assert "no such file" in capsys.readouterr().err

@@ -6,8 +6,7 @@ import math
 
 import pytest
 
-import build_fmu
-from congelation.export.spec import read_spec
+from congelation.export.build import build
 from tests.fmus.instance import DISCARD, ERROR, FMUS, Instance, loaded
 
 EXTREMES = (1e300, -1e300, 1e150, 1e-150, 1e-300, 5e-324, 0.0)
@@ -125,7 +124,7 @@ def test_a_default_table_whose_file_is_gone(tmp_path):
     spec.write_text(
         f'{head}[plant.profile]\n"theta[1]" = [{{table = {{file = "theta.csv"}}}}]\n[controller]{rest}'
     )
-    build_fmu.build_spec(spec, read_spec(spec), tmp_path)
+    build(spec, out=tmp_path)
     (tmp_path / "theta.csv").unlink()
     with loaded(tmp_path / "ScalarPlant.fmu") as (plant,):
         plant.start()

@@ -9,8 +9,7 @@ import sysconfig
 import textwrap
 from pathlib import Path
 
-import build_fmu
-from congelation.export.spec import read_spec
+from congelation.export.build import build
 from tests.fmus.instance import FMUS, loaded
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -67,7 +66,7 @@ def test_two_builds_of_different_content(tmp_path):
         folder.mkdir()
         spec = folder / "twin.toml"
         spec.write_text(SPEC.format(sign=sign))
-        build_fmu.build_spec(spec, read_spec(spec), folder)
+        build(spec, out=folder)
         paths.append(folder / "Twin.fmu")
     slopes = []
     with loaded(paths[0]) as (one,), loaded(paths[1]) as (two,):
@@ -81,7 +80,7 @@ def test_two_builds_of_different_content(tmp_path):
 def test_builds_are_reproducible(tmp_path):
     spec = ROOT / "specs" / "state_feedback.toml"
     for folder in ("a", "b"):
-        build_fmu.build_spec(spec, read_spec(spec), tmp_path / folder)
+        build(spec, out=tmp_path / folder)
     for name in ("StrictFeedbackPlant.fmu", "StateFeedbackController.fmu"):
         one, two = ((tmp_path / folder / name).read_bytes() for folder in ("a", "b"))
         assert one == two == (FMUS / name).read_bytes()

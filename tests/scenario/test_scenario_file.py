@@ -153,7 +153,7 @@ MISTAKES = {
         PLANT_FMU,
         '"ScalarPlan"',
         "components.plant.fmu = 'ScalarPlan' is no FMU in fmus/; did you mean 'ScalarPlant'? "
-        "Or build it with: python build_fmu.py",
+        "Or build it with: congelation build SPEC.toml",
     ),
     "missing FMU by path": (PLANT_FMU, '"a/b.fmu"', "components.plant.fmu: no FMU at "),
     "unknown component key": ("start = {x0", "strat = {x0", "components.plant.strat is not known"),
@@ -364,7 +364,9 @@ def test_without_any_fmu_the_build_command_is_named(
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InvalidInput) as told:
         load_scenario(write(tmp_path, SCALAR, (PLANT_FMU, '"ScalarPlant"')))
-    assert str(told.value).endswith("is no FMU in fmus/; build it with: python build_fmu.py")
+    assert str(told.value).endswith(
+        "is no FMU in fmus/; build it with: congelation build SPEC.toml"
+    )
 
 
 def test_a_sample_time_may_state_its_unit(tmp_path: Path) -> None:

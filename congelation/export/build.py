@@ -1,0 +1,208 @@
+"""From specs to .fmu files: derive, stage, package with PythonFMU, complete, validate, list."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import json
+import re
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+from types import ModuleType
+from xml.etree import ElementTree
+
+from pythonfmu.builder import FmuBuilder
+
+from congelation.errors import CongelationError, InvalidInput
+from congelation.export.model_description import complete
+from congelation.export.spec import FmuSpec, Spec, read_spec
+from congelation.export.stage import Staged, stage
+from congelation.fmi.validation import validate
+from congelation.places import check_folder, shipped
+
+__all__ = ["build"]
+
+_OPTIONS = {
+    # The interpreter runs in the host's process; no tool is started.
+    "needsExecutionTool": False,
+    "canHandleVariableCommunicationStepSize": True,
+    "canGetAndSetFMUstate": True,
+    "canSerializeFMUstate": True,
+}
+# What a slave needs of pythonfmu at run time; its builder stays out.
+_RUN_TIME = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
+_IMPORT = re.compile(r"^from pythonfmu\.", re.MULTILINE)
+# Zip's epoch: equal sources must give equal bytes.
+_DATE = (1980, 1, 1, 0, 0, 0)
+_MODE = 0o644 << 16
+# What the content of an FMU follows from, besides its spec.
+_TOOLS = ("congelation", "casadi", "pythonfmu", "fmpy")
+
+
+def build(*specs: Spec | Path | str, out: Path | str = "fmus") -> list[Path]:
+    """Build the plant and the controller FMUs of specs.
+
+    Equal specs, built by equal versions, give byte-identical files. Beside the FMUs there is
+    ``manifest.json``, with what each was built of.
+
+    Parameters
+    ----------
+    *specs : Spec, Path or str
+        What to build: a TOML file, or what `read_spec` made of one.
+    out : Path or str
+        Folder for the FMUs, which replace others of the same names.
+
+    Returns
+    -------
+    list of Path
+        The .fmu files: the plant and the controller of the first spec, of the second, and so on.
+
+    Raises
+    ------
+    InvalidInput
+        A spec is wrong, two FMUs have one name, or nothing can be written to `out`.
+
+    Examples
+    --------
+    >>> paths = cg.build("specs/scalar.toml", out=folder)
+    >>> [path.name for path in paths]
+    ['ScalarPlant.fmu', 'ScalarController.fmu']
+    """
+    folder = Path(out)
+    if not specs:
+        raise InvalidInput("no spec is given; name one or more, such as specs/f16_pitch.toml")
+    check_folder("--out", folder)
+    read = [spec if isinstance(spec, Spec) else read_spec(Path(spec)) for spec in specs]
+    # No FMU may overwrite another, also where file names do not tell case apart.
+    owner: dict[str, Spec] = {}
+    for spec in read:
+        for fmu in (spec.plant, spec.controller):
+            other = owner.setdefault(fmu.name.lower(), spec)
+            if other is not spec:
+                raise InvalidInput(
+                    f"spec '{spec.name}': '{fmu.name}' is an FMU of spec '{other.name}' too; give "
+                    "it another name, or build into another folder"
+                )
+    paths: list[Path] = []
+    try:
+        for spec in read:
+            for fmu in (spec.plant, spec.controller):
+                paths.append(_build_fmu(fmu, spec, folder))
+                _update_manifest(folder / "manifest.json", paths[-1], fmu, spec)
+    except OSError as error:
+        raise CongelationError(f"{folder}: an FMU cannot be written: {error}") from error
+    return paths
+
+
+def _build_fmu(fmu: FmuSpec, spec: Spec, out: Path) -> Path:
+    """Build one FMU, the plant or the controller of `spec`, into the folder `out`."""
+    sources = shipped("fmu_src")
+    with tempfile.TemporaryDirectory(prefix="congelation_build_") as temporary:
+        folder = Path(temporary)
+        staged = stage(fmu, spec, sources, folder / "staged")
+        raw = _pythonfmu(staged, folder / "raw")
+        target = out / f"{fmu.name}.fmu"
+        finished = folder / target.name
+        _finish(raw, finished, staged, sources)
+        validate(finished)
+        target.write_bytes(finished.read_bytes())
+    return target
+
+
+def _pythonfmu(staged: Staged, out: Path) -> Path:
+    """Run pythonfmu's builder, which imports the slave, and leave the interpreter as it was."""
+    path = list(sys.path)
+    # An FMU of the same sources may be loaded in this process, with its own copy of pythonfmu.
+    loaded = _taken_out(staged.package)
+    try:
+        return Path(
+            FmuBuilder.build_FMU(
+                staged.slave,
+                dest=out,
+                project_files=set(staged.resources),
+                documentation_folder=staged.documentation,
+                **_OPTIONS,
+            )
+        )
+    except ValueError as error:
+        raise InvalidInput(f"{staged.name}: {error}") from error
+    finally:
+        sys.path[:] = path
+        _taken_out(staged.package)
+        sys.modules.update(loaded)
+
+
+def _taken_out(package: str) -> dict[str, ModuleType]:
+    """The modules of an FMU's package and its slave, which are no longer in sys.modules."""
+    names = [name for name in sys.modules if name.startswith(package)]
+    return {name: sys.modules.pop(name) for name in names}
+
+
+def _finish(raw: Path, target: Path, staged: Staged, sources: Path) -> None:
+    """Write the zip anew: bundled pythonfmu renamed, XML completed, order and dates fixed."""
+    with zipfile.ZipFile(raw) as source:
+        entries = {name: source.read(name) for name in source.namelist() if name[-1] != "/"}
+    finished: dict[str, bytes] = {}
+    for name, data in entries.items():
+        if name.startswith("resources/pythonfmu/"):
+            if Path(name).stem in _RUN_TIME:
+                finished[name.replace("/pythonfmu/", f"/{staged.package}/pythonfmu/")] = data
+        elif name.startswith(f"resources/{staged.package}/"):
+            finished[name] = _IMPORT.sub("from .pythonfmu.", data.decode("utf-8")).encode("utf-8")
+        else:
+            finished[name] = data
+    tool = "congelation {} with PythonFMU {}".format(
+        importlib.metadata.version("congelation"), importlib.metadata.version("pythonfmu")
+    )
+    description = finished.pop("modelDescription.xml")
+    finished[f"resources/{staged.package}/pythonfmu/__init__.py"] = b""
+    # The names and places that FMI 2.0.4, section 2.3, gives these two.
+    for name, file in (
+        ("licenses/license.txt", "licenses.txt"),
+        ("externalDependencies.txt", "external_dependencies.txt"),
+    ):
+        finished[f"documentation/{name}"] = (sources / file).read_bytes()
+    finished["model.png"] = staged.icon
+    # modelDescription.xml comes first: hosts that stream the archive find it at once.
+    ordered = [
+        ("modelDescription.xml", complete(description, staged.interface, staged.digest, tool)),
+        *sorted(finished.items()),
+    ]
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name, data in ordered:
+            info = zipfile.ZipInfo(name, _DATE)
+            info.external_attr = _MODE
+            info.compress_type = zipfile.ZIP_DEFLATED
+            archive.writestr(info, data)
+
+
+def _update_manifest(manifest: Path, path: Path, fmu: FmuSpec, spec: Spec) -> None:
+    """Enter a built FMU in the manifest, in place of an older build of the same name."""
+    entries = _entries(manifest)
+    with zipfile.ZipFile(path) as archive:
+        guid = ElementTree.fromstring(archive.read("modelDescription.xml")).get("guid")
+    entries[path.name] = {
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        "guid": guid,
+        "model": fmu.model.name,
+        "spec": spec.name,
+        "tools": {name: importlib.metadata.version(name) for name in _TOOLS},
+    }
+    manifest.write_text(json.dumps(entries, indent=1, sort_keys=True) + "\n", "utf-8")
+
+
+def _entries(manifest: Path) -> dict[str, object]:
+    if not manifest.exists():
+        return {}
+    try:
+        entries = json.loads(manifest.read_text("utf-8"))
+    except ValueError:
+        entries = None
+    if not isinstance(entries, dict):
+        raise InvalidInput(
+            f"{manifest} was not written by `congelation build`; remove it, or build into "
+            "another folder"
+        )
+    return entries

@@ -1,0 +1,97 @@
+"""Specs and scenarios to start from: those shipped with the package, and a new pair of them."""
+
+from __future__ import annotations
+
+import importlib.resources
+import re
+from pathlib import Path
+
+from congelation.errors import InvalidInput
+from congelation.places import check_folder, shipped
+
+__all__ = ["copy_examples", "write_starter"]
+
+
+def copy_examples(folder: Path | str) -> list[Path]:
+    """Copy the shipped specs and scenarios into `folder`/specs and `folder`/scenarios.
+
+    Returns
+    -------
+    list of Path
+        The files. One that is there already with the same content stays.
+
+    Raises
+    ------
+    InvalidInput
+        A file of that name has another content, or nothing can be written there.
+
+    Examples
+    --------
+    >>> files = cg.examples(folder)
+    >>> (folder / "specs" / "f16_pitch.toml") in files
+    True
+    """
+    texts = {
+        Path(folder) / kind / file.name: file.read_bytes()
+        for kind in ("specs", "scenarios")
+        for file in sorted(shipped(kind).glob("*.toml"))
+    }
+    # Nobody's work is overwritten, and nothing is copied before that is sure.
+    for target, text in texts.items():
+        if target.exists() and not (target.is_file() and target.read_bytes() == text):
+            raise InvalidInput(
+                f"{target} is there already, with another content; give another folder"
+            )
+    for target, text in texts.items():
+        check_folder("DIR", target.parent)
+        target.write_bytes(text)
+    return list(texts)
+
+
+def write_starter(name: str, folder: Path | str = ".") -> Path:
+    """Write a commented spec and scenario to start from, into the new folder `name`.
+
+    Parameters
+    ----------
+    name : str
+        Of the folder; letters, digits and _, beginning with a letter. ``wing_flap`` gives the FMUs
+        WingFlapPlant and WingFlapController.
+    folder : Path or str
+        Where to make it.
+
+    Returns
+    -------
+    Path
+        The new folder.
+
+    Raises
+    ------
+    InvalidInput
+        The name is not valid, or there is such a folder already.
+
+    Examples
+    --------
+    >>> made = cg.new("wing_flap", folder)
+    >>> sorted(file.name for file in made.iterdir())
+    ['scenario.toml', 'spec.toml']
+    """
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise InvalidInput(
+            f"NAME '{name}' is not valid; give letters, digits and _, beginning with a letter"
+        )
+    made = Path(folder) / name
+    if made.exists():
+        raise InvalidInput(f"{made} is there already; give another name")
+    check_folder("NAME", made)
+    words = {
+        "@NAME@": name,
+        "@FOLDER@": str(made),
+        "@FMU@": "".join(part[:1].upper() + part[1:] for part in name.split("_")),
+    }
+    for file in ("spec.toml", "scenario.toml"):
+        template = importlib.resources.files("congelation.export") / "starter" / file
+        text = template.read_text("utf-8")
+        for mark, word in words.items():
+            text = text.replace(mark, word)
+        (made / file).write_text(text, "utf-8")
+    return made

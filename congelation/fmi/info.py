@@ -1,0 +1,160 @@
+"""What an FMU is to somebody who wants to connect it: read from the file, nothing is loaded."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import fmpy
+
+from congelation.fmi.description import describe
+
+__all__ = ["FmuInfo", "VariableInfo", "fmu_info"]
+
+_ELEMENT = re.compile(r"\[\d+(,\d+)*\]$")
+
+
+@dataclass(frozen=True)
+class VariableInfo:
+    """A variable, its unit, and the value that it has if nobody sets it."""
+
+    name: str
+    type: str
+    unit: str
+    start: str | None
+    description: str
+
+
+@dataclass(frozen=True)
+class FmuInfo:
+    """What an FMU is.
+
+    Attributes
+    ----------
+    path : Path
+    name, description, tool : str
+        Of the model, and what wrote the FMU.
+    connect : tuple of VariableInfo
+        Inputs to connect.
+    leave : tuple of VariableInfo
+        Inputs that are optional: derivatives of other inputs, and disturbances that are added to a
+        profile; left alone, they have no effect.
+    outputs, parameters : tuple of VariableInfo
+    stop_time, step : float or None
+        The experiment that the FMU proposes, in seconds.
+    saves_state : bool
+        Whether steps can be taken back (canGetAndSetFMUstate).
+    varies_step : bool
+        Whether steps may be of different lengths.
+    """
+
+    path: Path
+    name: str
+    description: str
+    tool: str
+    connect: tuple[VariableInfo, ...]
+    leave: tuple[VariableInfo, ...]
+    outputs: tuple[VariableInfo, ...]
+    parameters: tuple[VariableInfo, ...]
+    stop_time: float | None
+    step: float | None
+    saves_state: bool
+    varies_step: bool
+
+    def __str__(self) -> str:
+        abilities = [
+            "steps of any length" if self.varies_step else "steps of one length only",
+            "steps can be taken back" if self.saves_state else "steps cannot be taken back",
+        ]
+        lines = [
+            f"{self.path.name}: {self.description or self.name}",
+            f"  FMI 2.0 co-simulation, written by {self.tool or 'an unnamed tool'}; "
+            + ", ".join(abilities),
+        ]
+        for title, group in (
+            ("inputs to connect", self.connect),
+            ("inputs to leave alone, unless their source is known (0: no effect)", self.leave),
+            ("outputs", self.outputs),
+            ("parameters", self.parameters),
+        ):
+            if group:
+                lines += ["", f"  {title}", *_table(group)]
+        return "\n".join(lines)
+
+
+def fmu_info(path: Path) -> FmuInfo:
+    """Read an FMU's model description.
+
+    Raises
+    ------
+    InvalidInput
+        The file is missing, is no FMU, or offers no FMI 2.0 co-simulation.
+    """
+    known = describe(path)
+    model = fmpy.read_model_description(os.fspath(path), validate=False)
+    experiment = model.defaultExperiment
+
+    def of(causality: str) -> list[VariableInfo]:
+        return [
+            VariableInfo(v.name, v.type, v.unit or "", v.start, v.description or "")
+            for v in model.modelVariables
+            if v.causality == causality
+        ]
+
+    inputs = of("input")
+    names = {v.name for v in inputs}
+    optional = [v for v in inputs if _is_optional(v.name, names)]
+    return FmuInfo(
+        path=Path(path),
+        name=model.modelName,
+        description=model.description or "",
+        tool=model.generationTool or "",
+        connect=tuple(v for v in inputs if v not in optional),
+        leave=tuple(optional),
+        outputs=tuple(of("output")),
+        parameters=tuple(of("parameter")),
+        stop_time=_number(experiment.stopTime) if experiment else None,
+        step=_number(experiment.stepSize) if experiment else None,
+        saves_state=known.can_get_and_set_state,
+        varies_step=known.can_vary_step,
+    )
+
+
+def _is_optional(name: str, inputs: set[str]) -> bool:
+    """Whether an input is der(v), der(v,2), .. of another input v, or dtheta[j] of a plant here."""
+    derivative = re.fullmatch(r"der\((.+?)(,\d+)?\)", name)
+    return (derivative is not None and derivative[1] in inputs) or name.startswith("dtheta[")
+
+
+def _number(text: str | float | None) -> float | None:
+    return None if text is None else float(text)
+
+
+def _table(group: tuple[VariableInfo, ...]) -> list[str]:
+    """One line for each scalar, vector and matrix; the parameters of a profile in one line."""
+    merged: dict[str, list[VariableInfo]] = {}
+    for v in group:
+        # profile[1].sine[2].omega belongs to profile[1]; x[1], x[2] and der(x[1]) to x and der(x).
+        head = v.name.split(".")[0]
+        key = f"{head}.*" if head != v.name else _ELEMENT.sub("", v.name)
+        merged.setdefault(key, []).append(v)
+    rows = []
+    for key, members in merged.items():
+        if key.endswith(".*"):
+            rows.append((key, "", "", f"{len(members)} parameters"))
+            continue
+        first, last = members[0], members[-1]
+        name = first.name if first is last else f"{first.name} .. {last.name.removeprefix(key)}"
+        units = list(dict.fromkeys(v.unit for v in members))
+        starts = [v.start for v in members if v.start is not None]
+        # Equal values of a vector are said once.
+        shown = starts[:1] if len(set(starts)) == 1 else starts
+        rows.append((name, ", ".join(shown), ", ".join(filter(None, units)), first.description))
+    widths = [min(34, max(len(row[k]) for row in rows)) for k in range(3)]
+    return [
+        "    "
+        + "  ".join([*(c.ljust(w) for c, w in zip(row, widths, strict=False)), row[3]]).rstrip()
+        for row in rows
+    ]
