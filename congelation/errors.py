@@ -18,11 +18,28 @@ __all__ = ["CongelationError", "InfeasibleDesign", "InvalidInput", "SlaveError",
 
 
 class CongelationError(Exception):
-    """Base of every error that congelation raises on purpose."""
+    """Base of every error that congelation raises on purpose.
+
+    Examples
+    --------
+    >>> try:
+    ...     cg.info("none.fmu")
+    ... except cg.CongelationError as error:
+    ...     print(error)
+    no FMU at none.fmu; build it with: congelation build SPEC.toml; or correct the path
+    """
 
 
 class InvalidInput(CongelationError, ValueError):
-    """Something the user wrote is wrong; the text says what, where, and what would be valid."""
+    """Something the user wrote is wrong; the text says what, where, and what would be valid.
+
+    Examples
+    --------
+    >>> cg.new("2nd try", folder)
+    Traceback (most recent call last):
+    ...
+    congelation.errors.InvalidInput: NAME '2nd try' is not valid; give letters, digits and _, ...
+    """
 
 
 class InfeasibleDesign(InvalidInput):
