@@ -3,13 +3,14 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html') build_fmu.py
+SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.txt' -o -name '*.png') build_fmu.py
 
-.PHONY: help demo test check format bench fmus lock clean
+.PHONY: help demo test test-fast check format bench fmus lock clean
 
 help:
-	@echo "make demo    Figs. 1-3 of the paper from FMUs, and a report of where they are"
+	@echo "make demo    Figs. 1-3 of the paper from FMUs, a sweep, and a page that links them all"
 	@echo "make test    the whole test suite"
+	@echo "make test-fast   the tests that are not marked slow"
 	@echo "make check   format, lint, types, import layers"
 	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
 	@echo "make fmus    build the FMUs into fmus/"
@@ -43,11 +44,14 @@ demo: fmus
 		$(BIN)/congelation report results/$$name --html results/$$name/report.html || exit $$?; \
 	done
 	@$(BIN)/congelation sweep scenarios/rivals.toml --workers 2 --resume --out results/rivals
-	@echo "Figures: results/<scenario>/figures; reports: results/<scenario>/report.html"
-	@echo "The sweep of the rival adaptation laws: results/rivals/runs.parquet"
+	@$(BIN)/congelation report results/rivals --html results/rivals/report.html
+	@$(BIN)/python -m congelation.report.index results
 
 test: fmus .venv-cofmupy/installed
 	$(BIN)/python -m pytest
+
+test-fast: fmus
+	$(BIN)/python -m pytest -m "not slow"
 
 check: .venv/installed
 	$(BIN)/ruff format --check .

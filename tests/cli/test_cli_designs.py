@@ -1,27 +1,52 @@
-"""`congelation certify` and `congelation check` as users meet them: real processes."""
+"""The commands on specs and FMUs, and `check`, run in this process as users run them."""
 
 from __future__ import annotations
 
-import subprocess
-import sys
+import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from congelation import cli
+from congelation.cli import designs
+from congelation.cli.shared import EXIT_CODES
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def congelation(*arguments: str) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "congelation", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
+class Done(NamedTuple):
+    returncode: int
+    stdout: str
+    stderr: str
 
 
-def test_certify_passes_a_certified_design():
+@pytest.fixture
+def congelation(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., Done]:
+    """The command line, called from the top of the checkout."""
+    monkeypatch.chdir(ROOT)
+    monkeypatch.setenv("COLUMNS", "120")
+
+    def call(*arguments: object) -> Done:
+        with pytest.raises(SystemExit) as ended:
+            cli.main([str(argument) for argument in arguments])
+        said = capsys.readouterr()
+        return Done(int(ended.value.code or 0), said.out, said.err)
+
+    return call
+
+
+def test_certify_passes_a_certified_design(congelation):
     done = congelation("certify", "specs/scalar.toml", "--samples", "50")
     assert done.returncode == 0, done.stderr
     assert "holds" in done.stdout
     assert done.stderr == ""
 
 
-def test_certify_names_the_state_of_a_violation():
+def test_certify_names_the_state_of_a_violation(congelation):
     done = congelation("certify", "scenarios/scalar.toml", "--samples", "50")
     assert done.returncode == 3
     (line,) = done.stderr.splitlines()
@@ -29,7 +54,7 @@ def test_certify_names_the_state_of_a_violation():
     assert "plant.x = " in line
 
 
-def test_certify_of_extreme_numbers_is_one_line(tmp_path):
+def test_certify_of_extreme_numbers_is_one_line(congelation, tmp_path):
     """Refused as a spec; as a scenario, which does not start there, nowhere finite."""
     for name, old, code in (("specs", "epsilon = 1,", 2), ("scenarios", "epsilon = 0.3", 2)):
         text = (ROOT / name / "scalar.toml").read_text("utf-8")
@@ -45,14 +70,14 @@ def test_certify_of_extreme_numbers_is_one_line(tmp_path):
         assert "epsilon = 1e-300" in line
 
 
-def test_certify_without_a_file():
+def test_certify_without_a_file(congelation):
     done = congelation("certify", "specs/none.toml")
     assert done.returncode == 2
     (line,) = done.stderr.splitlines()
     assert "no such file" in line
 
 
-def test_check_reports_no_violation_of_our_own(tmp_path):
+def test_check_reports_no_violation_of_our_own(congelation, tmp_path):
     """The package rules, which take no time; the dynamic ones have tests of their own."""
     report = tmp_path / "junit.xml"
     done = congelation(
@@ -63,7 +88,76 @@ def test_check_reports_no_violation_of_our_own(tmp_path):
     assert report.read_text("utf-8").startswith("<?xml")
 
 
-def test_check_of_no_fmu():
+def test_check_of_no_fmu(congelation):
     done = congelation("check", "fmus/None.fmu")
     assert done.returncode == 2
     assert "there is no FMU at 'fmus/None.fmu'" in " ".join(done.stderr.split())
+
+
+def test_every_exit_code_is_in_the_help(congelation):
+    done = congelation("--help")
+    said = " ".join(done.stdout.split())
+    for code, meaning in EXIT_CODES.items():
+        assert f"{code} {meaning}" in said
+
+
+def test_build_lists_what_it_wrote(congelation, tmp_path):
+    done = congelation("build", "specs/scalar.toml", "--out", tmp_path)
+    assert done == (0, f"{tmp_path}/ScalarPlant.fmu\n{tmp_path}/ScalarController.fmu\n", "")
+    for name in ("ScalarPlant.fmu", "ScalarController.fmu"):
+        assert (tmp_path / name).read_bytes() == (ROOT / "fmus" / name).read_bytes()
+
+
+def test_build_of_a_bad_spec_is_one_line(congelation, tmp_path):
+    (tmp_path / "bad.toml").write_text('form = "scaler"\n')
+    done = congelation("build", tmp_path / "bad.toml", "--out", tmp_path)
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert "form = 'scaler' is not known; did you mean 'scalar'?" in line
+
+
+def test_an_interruption_is_one_line(congelation, monkeypatch, tmp_path):
+    def interrupted(*specs: Path, out: Path) -> list[Path]:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(designs, "build_fmus", interrupted)
+    done = congelation("build", "specs/scalar.toml", "--out", tmp_path)
+    assert done == (130, "", "congelation: interrupted\n")
+
+
+def test_info_as_json(congelation):
+    found = json.loads(congelation("info", "fmus/ScalarPlant.fmu", "--json").stdout)
+    assert found["pair"] is None
+    assert [v["name"] for v in found["fmus"][0]["connect"]] == ["u"]
+
+
+def test_info_of_a_pair(congelation):
+    fmus = ("fmus/ScalarPlant.fmu", "fmus/ScalarController.fmu")
+    done = congelation("info", *fmus, "--stop-time", "1")
+    assert done.returncode == 0
+    assert "largest communication step with held inputs" in done.stdout
+    assert "Found by runs from the start values to t = 1 s" in done.stdout
+    done = congelation("info", *fmus, "--stop-time", "1", "--json")
+    pair = json.loads(done.stdout)["pair"]
+    assert pair["accurate_step"] < pair["stable_step"]
+    assert len(pair["connections"]) == 2
+
+
+def test_certify_as_json(congelation):
+    done = congelation("certify", "scenarios/scalar.toml", "--samples", "50", "--json")
+    found = {design["design"]: design["holds"] for design in json.loads(done.stdout)}
+    assert found == {"Controller 1": True, "Controller 2": False}
+    assert done.returncode == 3
+
+
+def test_examples_and_new_say_what_they_wrote(congelation, tmp_path, monkeypatch):
+    done = congelation("examples", tmp_path)
+    assert f"files in {tmp_path}/specs and {tmp_path}/scenarios" in done.stdout
+    monkeypatch.chdir(tmp_path)
+    done = congelation("new", "wing_flap")
+    assert done.stdout.splitlines()[0] == (
+        "congelation build wing_flap/spec.toml --out wing_flap/fmus"
+    )
+    done = congelation("new", "wing_flap")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "wing_flap is there already" in done.stderr

@@ -1,0 +1,67 @@
+"""One page that links the reports and figures of several result directories.
+
+python -m congelation.report.index results      writes results/index.html
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from html import escape, unescape
+from pathlib import Path
+from urllib.parse import quote
+
+from congelation.errors import InvalidInput
+
+__all__ = ["write_index"]
+
+_STYLE = """
+body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 60rem; margin: 2rem auto;
+       padding: 0 1rem; }
+img { width: 14rem; height: auto; margin: 0.5rem; border: 1px solid #ddd; }
+"""
+
+
+def write_index(folder: Path) -> Path:
+    """Write ``index.html`` into a folder of result directories.
+
+    Raises
+    ------
+    InvalidInput
+        There is no result directory in it.
+    """
+    found = sorted(runs.parent for runs in folder.glob("*/runs.parquet"))
+    if not found:
+        raise InvalidInput(f"{folder}: no result directory in it; `congelation run` makes one")
+    file = folder / "index.html"
+    file.write_text("\n".join(_page(folder, found)), "utf-8")
+    return file
+
+
+def _page(folder: Path, directories: list[Path]) -> Iterator[str]:
+    yield '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">'
+    yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
+    yield f"<title>Results</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<h1>Results</h1>"
+    for directory in directories:
+        # Links are relative, so that the folder can be moved or sent as a whole.
+        base = directory.relative_to(folder)
+        report = directory / "report.html"
+        title = directory.name
+        if report.is_file():
+            head = re.search(r"<title>(.*?)</title>", report.read_text("utf-8"), re.DOTALL)
+            title = unescape(head[1]) if head else title
+        yield f"<h2>{escape(title)}</h2>\n<p>"
+        for name in ("report.html", "runs.parquet"):
+            if (directory / name).is_file():
+                yield f'<a href="{quote((base / name).as_posix())}">{name}</a>'
+        yield "</p>"
+        for figure in sorted((directory / "figures").glob("*.png")):
+            link = quote((base / "figures" / figure.name).as_posix())
+            alt = escape(figure.stem, quote=True)
+            yield f'<a href="{link}"><img src="{link}" alt="{alt}" title="{alt}"></a>'
+    yield "</body>\n</html>\n"
+
+
+if __name__ == "__main__":
+    print(write_index(Path(sys.argv[1])))

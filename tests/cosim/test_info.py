@@ -1,0 +1,95 @@
+"""`info`: what an FMU is, and the longest steps of a pair with held inputs, against known cases."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from congelation.cosim import Component, Connection, System, simulate
+from congelation.cosim.info import Trial, _accurate, info
+from congelation.errors import InvalidInput
+from tests.scenarios import FMUS
+
+PLANT, CONTROLLER = FMUS / "ScalarPlant.fmu", FMUS / "ScalarController.fmu"
+
+
+def test_one_fmu() -> None:
+    (found,) = info(CONTROLLER).fmus
+    assert [v.name for v in found.connect] == ["x"]
+    assert [v.name for v in found.leave] == ["der(x)", "der(x,2)", "der(x,3)"]
+    epsilon = next(v for v in found.parameters if v.name == "epsilon")
+    assert (epsilon.type, float(epsilon.start or "nan")) == ("Real", 1.0)
+    assert found.saves_state
+    assert found.stop_time == 10.0
+    text = str(found)
+    for part in ("ScalarController.fmu: ", "inputs to connect", "leave alone", "epsilon"):
+        assert part in text
+
+
+def test_the_disturbance_of_a_plant_is_left_alone() -> None:
+    (found,) = info(PLANT).fmus
+    assert [v.name for v in found.connect] == ["u"]
+    assert "dtheta[1]" in [v.name for v in found.leave]
+    # Dozens of parameters of the profile are one line.
+    assert str(found).count("profile[1]") == 1
+
+
+def test_a_pair() -> None:
+    """The steps that are named do what they are said to, and somewhat longer ones do not."""
+    found = info(PLANT, CONTROLLER, stop_time=2.0).pair
+    assert found is not None
+    assert found.stable_step is not None
+    assert found.accurate_step is not None
+    assert set(found.connections) == {
+        "ScalarPlant.x -> ScalarController.x",
+        "ScalarController.u -> ScalarPlant.u",
+    }
+    assert 0.8 < error(found.accurate_step) / 0.01 < 1.2
+    assert error(found.stable_step) <= 1.0
+    longest = found.trials[0]
+    if longest.error > 1.0:
+        assert error(1.1 * found.stable_step) > 1.0
+    else:
+        assert found.stable_step == longest.step
+
+
+def error(step: float) -> float:
+    """Of the loop with held inputs, relative to the peaks, by a solution with tiny steps."""
+    links = (Connection("p.x", "c.x"), Connection("c.u", "p.u"))
+    system = System((Component("p", PLANT), Component("c", CONTROLLER)), links)
+    record = ["p.x", "c.u"]
+    held = simulate(system, stop_time=2.0, step=step, coupling="jacobi", record=record)
+    exact = simulate(system, stop_time=2.0, step=step / 20, coupling="derivative", record=record)
+    if not held.completed:
+        return math.inf
+    rows = [int(abs(exact.time - t).argmin()) for t in held.time]
+    distance = abs(held.values - exact.values[rows]).max(axis=0)
+    return float((distance / abs(exact.values).max(axis=0)).max())
+
+
+def test_the_step_for_one_percent_is_interpolated_or_extrapolated() -> None:
+    """Held inputs are of order 1: error = step for these made-up trials."""
+    fine = [Trial(0.04, 0.04), Trial(0.02, 0.02), Trial(0.005, 0.005)]
+    assert _accurate(fine) == (pytest.approx(0.01), False)
+    coarse = [Trial(0.08, 0.08), Trial(0.04, 0.04)]
+    assert _accurate(coarse) == (pytest.approx(0.01), True)
+    # Where the error does not follow the step yet, nothing is known.
+    assert _accurate([Trial(0.08, math.inf), Trial(0.04, 0.5)]) == (None, False)
+    assert _accurate([Trial(1.0, 0.001)]) == (1.0, False)
+
+
+@pytest.mark.parametrize(
+    ("fmus", "stop_time", "message"),
+    [
+        ((PLANT, PLANT), None, "nothing to connect"),
+        ((PLANT, CONTROLLER), -1.0, "stop time -1 is not valid"),
+        ((PLANT,), 1.0, "a stop time is of the trial runs of a pair"),
+        ((), None, "0 FMUs are given"),
+        ((Path("none.fmu"),), None, "no FMU at none.fmu"),
+    ],
+)
+def test_mistakes(fmus: tuple[Path, ...], stop_time: float | None, message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        info(*fmus, stop_time=stop_time)

@@ -1,0 +1,55 @@
+"""What one starts from: copies of the shipped examples, and a new spec and scenario."""
+
+from __future__ import annotations
+
+import pytest
+
+from congelation.errors import InvalidInput
+from congelation.export.build import build
+from congelation.export.examples import copy_examples, write_starter
+from congelation.scenario.load import load_scenario
+from congelation.verify.certify import certify, designs_of
+from tests.scenarios import ROOT
+
+
+def test_examples_are_those_of_the_checkout(tmp_path):
+    files = copy_examples(tmp_path)
+    for kind in ("specs", "scenarios"):
+        for source in (ROOT / kind).glob("*.toml"):
+            assert (tmp_path / kind / source.name) in files
+            assert (tmp_path / kind / source.name).read_bytes() == source.read_bytes()
+    assert copy_examples(tmp_path) == files
+
+
+def test_examples_overwrite_nothing(tmp_path):
+    (tmp_path / "specs").mkdir()
+    mine = tmp_path / "specs" / "scalar.toml"
+    mine.write_text("mine")
+    with pytest.raises(InvalidInput, match=r"scalar\.toml is there already"):
+        copy_examples(tmp_path)
+    assert mine.read_text() == "mine"
+    assert not (tmp_path / "scenarios").exists()
+
+
+def test_a_starter_builds_holds_and_loads(tmp_path):
+    folder = write_starter("wing_flap", tmp_path)
+    paths = build(folder / "spec.toml", out=folder / "fmus")
+    assert [path.name for path in paths] == ["WingFlapPlant.fmu", "WingFlapController.fmu"]
+    (design,) = designs_of(folder / "spec.toml")
+    assert certify(design, samples=50).holds
+    scenario = load_scenario(folder / "scenario.toml")
+    assert scenario.title == "wing_flap"
+    assert scenario.sweep is not None
+
+
+@pytest.mark.parametrize("name", ["2nd", "a-b", "", "a/b", "ä"])
+def test_names_that_are_refused(tmp_path, name):
+    with pytest.raises(InvalidInput, match="is not valid"):
+        write_starter(name, tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_starter_overwrites_nothing(tmp_path):
+    (tmp_path / "mine").mkdir()
+    with pytest.raises(InvalidInput, match="is there already"):
+        write_starter("mine", tmp_path)
