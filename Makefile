@@ -51,7 +51,7 @@ test: fmus .venv-cofmupy/installed
 	$(BIN)/python -m pytest
 
 test-fast: fmus
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
 
 check: .venv/installed
 	$(BIN)/ruff format --check .
