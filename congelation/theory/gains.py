@@ -99,7 +99,8 @@ def iss_weight(
     """
     first = n if rho is None else rho
     varies = np.arange(1, n + 1) >= first
-    return np.diag(1.0 / epsilon_a**2 + varies / epsilon_b**2)
+    # Products, as inside the FMUs: a power may round differently, and then X differs.
+    return np.diag(1.0 / (epsilon_a * epsilon_a) + varies / (epsilon_b * epsilon_b))
 
 
 def iss_riccati(r: float, Q: ArrayLike) -> Matrix | None:
@@ -350,6 +351,8 @@ def matched_riccati(
 
 
 def _filter_gain(r: float, Q: Matrix, given: str) -> Matrix:
+    if not 0 < Q[0, 0] < math.inf:
+        raise InfeasibleDesign(f"{given}: the weight Q of (41) leaves the range of floats")
     X = iss_riccati(r, Q)
     if X is None:
         n = Q.shape[0]

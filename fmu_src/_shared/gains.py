@@ -177,7 +177,7 @@ def _filter_weight(n, epsilon):
     ArithmeticError
         If double precision does not suffice for P.
     """
-    weight = scaled(identity(n), _inverse_square(epsilon))
+    weight = scaled(identity(n), 1.0 / (epsilon * epsilon))
     observed = [[1.0 if i == j == 0 else 0.0 for j in range(n)] for i in range(n)]
     p = riccati(scaled(_shift(n), -1.0), weight, observed)
     if p is None:
@@ -336,8 +336,12 @@ def filter_norm(k):
     one = identity(len(k))
 
     def feasible(gain):
-        # -P is a stabilising solution in the form with a definite quadratic term.
-        p = riccati(a, scaled(one, _inverse_square(gain)), scaled(one, -1.0))
+        # -P is a stabilising solution in the form with a definite quadratic term, and A_f is
+        # Hurwitz, so that Newton's method may start at 0. Next to the edge, where eigenvalues of
+        # the Hamiltonian meet on the imaginary axis, it decides where the matrix sign cannot.
+        equation = (a, scaled(one, _inverse_square(gain)), scaled(one, -1.0))
+        p = newton(scaled(one, 0.0), *equation)
+        p = None if p is None else newton(exact(p), *equation)
         return p is not None and is_definite(scaled(p, -1))
 
     # The norm of the response at frequency 0, (-A_f)^-1, bounds the gain from below, and its
