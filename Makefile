@@ -5,12 +5,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.txt' -o -name '*.png') build_fmu.py
 
-.PHONY: help demo test test-fast check format bench fmus lock clean
+.PHONY: help demo test test-fast fuzz check format bench fmus lock clean
 
 help:
 	@echo "make demo    Figs. 1-3 of the paper from FMUs, a sweep, and a page that links them all"
 	@echo "make test    the whole test suite"
 	@echo "make test-fast   the tests that are not marked slow"
+	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each"
 	@echo "make check   format, lint, types, import layers"
 	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
 	@echo "make fmus    build the FMUs into fmus/"
@@ -52,6 +53,9 @@ test: fmus .venv-cofmupy/installed
 
 test-fast: fmus
 	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+
+fuzz: fmus
+	$(BIN)/python -m pytest -m fuzz --hypothesis-profile=fuzz
 
 check: .venv/installed
 	$(BIN)/ruff format --check .
