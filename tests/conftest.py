@@ -18,6 +18,16 @@ settings.register_profile("fuzz", max_examples=1000, deadline=None, print_blob=T
 settings.load_profile("repeatable")  # --hypothesis-profile=fuzz takes its place
 
 
+SLOW_ROOMS = ("benchmarks", "conformance", "engines")
+"""Folders whose tests run processes, hosts and engines; `make test-fast` leaves them out."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if item.path.parent.name in SLOW_ROOMS:
+            item.add_marker(pytest.mark.slow)
+
+
 _STATUS = pytest.StashKey[int]()
 
 

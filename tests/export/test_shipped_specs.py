@@ -14,6 +14,7 @@ from congelation.export.spec import read_spec
 SPECS = sorted((Path(__file__).resolve().parents[2] / "specs").glob("*.toml"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", SPECS, ids=lambda file: file.stem)
 def test_closed_loop(file, tmp_path):
     build(file, out=tmp_path)

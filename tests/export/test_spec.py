@@ -106,8 +106,10 @@ def test_infeasible_gains_are_refused(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("start", "message"),
     [
-        ("r = 1e300, epsilon = 0.3", "k cannot be computed from r = 1e.300, epsilon = 0.3"),
-        ("r = 1e20, epsilon = 0.3", "too large .* nearer to the smallest feasible r, 3.4"),
+        (
+            "r = 1e300, epsilon = 0.3",
+            "r = 1e.300, epsilon = 0.3.* would not be finite at the start",
+        ),
         ("r = 5, epsilon = 1e-300", "k cannot be computed from r = 5.0, epsilon = 1e-300"),
     ],
 )

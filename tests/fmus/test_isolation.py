@@ -9,6 +9,8 @@ import sysconfig
 import textwrap
 from pathlib import Path
 
+import pytest
+
 from congelation.export.build import build
 from tests.fmus.instance import FMUS, loaded
 
@@ -106,6 +108,7 @@ print(grown / 200)
 """
 
 
+@pytest.mark.slow
 def test_many_instances():
     """Instances come and go: no crash, and no more than what the wrapper itself leaks."""
     script = CYCLES.format(root=str(ROOT), fmu=str(FMUS / "StateFeedbackController.fmu"))

@@ -14,6 +14,8 @@ import pytest
 
 from tests.scenarios import ROOT
 
+pytestmark = pytest.mark.slow
+
 # What a wheel is built of.
 SOURCES = ("congelation", "fmu_src", "scenarios", "specs")
 FILES = ("pyproject.toml", "setup.py", "MANIFEST.in", "README.md", "LICENSE")
