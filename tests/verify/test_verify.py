@@ -123,7 +123,11 @@ def without_spec(folder: Path) -> Path:
 
 CONTROLLER = f'"{FMUS}/ScalarController.fmu"'
 MISTAKES = {
-    "no spec": (CONTROLLER, "OTHER", "Other.fmu has no resources/spec.json; only FMUs of build_f"),
+    "no spec": (
+        CONTROLLER,
+        "OTHER",
+        "Other.fmu has no resources/spec.json; only FMUs of `congelation build`",
+    ),
     "open loop": (
         ', "controller.u -> plant.u"',
         "",
