@@ -13,6 +13,7 @@ from pathlib import Path
 
 try:
     from congelation.errors import CongelationError, InvalidInput
+    from congelation.export.assumptions import spec_warnings
     from congelation.export.manifest import update_manifest
     from congelation.export.package import build
     from congelation.export.spec import Spec, read_spec
@@ -65,7 +66,12 @@ def _check_names(files: Sequence[Path], specs: Sequence[Spec]) -> None:
 
 
 def build_spec(file: Path, spec: Spec, out: Path) -> None:
-    """Build and validate the two FMUs of a spec, and enter them in the manifest."""
+    """Build and validate the two FMUs of a spec, and enter them in the manifest.
+
+    What the theorem of the design does not allow is said, and no reason not to build.
+    """
+    for warning in spec_warnings(spec):
+        print(f"build_fmu.py: warning: {file}: {warning}", file=sys.stderr)
     for fmu in (spec.plant, spec.controller):
         path = build(fmu, spec, ROOT / "fmu_src", out)
         validate(path)

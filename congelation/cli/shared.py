@@ -17,6 +17,7 @@ __all__ = [
     "BAD_INPUT",
     "FAILED",
     "INTERRUPTED",
+    "VIOLATED",
     "as_status",
     "complain",
     "print_figures",
@@ -24,7 +25,7 @@ __all__ = [
     "print_table",
 ]
 
-FAILED, BAD_INPUT, INTERRUPTED = 1, 2, 130
+FAILED, BAD_INPUT, VIOLATED, INTERRUPTED = 1, 2, 3, 130
 
 # Characters that the labels and one column of a table are expected to take.
 LABEL_WIDTH, COLUMN_WIDTH = 28, 16
