@@ -1,7 +1,8 @@
 """The command line: ``congelation COMMAND``; every command is a thin layer over the packages.
 
 Exit codes: 0 done; 1 a run failed or a check did not hold; 2 the input or the usage is wrong;
-3 a certificate is violated or an assumption of its theorem broken; 130 interrupted. What a user can set right is one line on stderr, never a traceback.
+3 a certificate is violated or an assumption of its theorem broken; 130 interrupted. What a user can
+set right is one line on stderr, never a traceback.
 """
 
 from __future__ import annotations

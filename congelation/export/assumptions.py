@@ -20,9 +20,7 @@ _UNSURE = {
 def spec_assumptions(spec: Spec) -> tuple[Remark, ...]:
     """The assumptions that a spec breaks, and what cannot be known of them."""
     profiles = [slots.profile for slots in spec.plant.profiles]
-    absent = [
-        j for j in range(len(profiles)) if f"theta[{j + 1}]" not in spec.plant.stated
-    ]
+    absent = [j for j in range(len(profiles)) if f"theta[{j + 1}]" not in spec.plant.stated]
 
     def place(name: str) -> str:
         if name.startswith("theta["):

@@ -1,11 +1,11 @@
 """The assumptions of the theorems, checked on what is known of theta(t) and of the parameters.
 
-Assumption 1: theta(t) stays in a ball of known radius delta. Assumption 2 (output feedback): so does
-a(t), b is constant, and b_m s^m + .. + b_0 is Hurwitz. Assumption 3: the sign of b_m is known. A
-law with a set keeps the certificate for ell (and 1/b_m) in that set.
+Assumption 1: theta(t) stays in a ball of known radius delta. Assumption 2 (output feedback): so
+does a(t), b is constant, and b_m s^m + .. + b_0 is Hurwitz. Assumption 3: the sign of b_m is known.
+A law with a set keeps the certificate for ell (and 1/b_m) in that set.
 
-The Lyapunov inequality alone does not show any of them but the first: V' <= -sum c_i z_i^2 holds of
-a plant with unstable zeros too, whose state leaves every bound while z tends to 0.
+The Lyapunov inequality shows Assumption 1 alone: V' <= -sum c_i z_i^2 holds for a plant with
+unstable zeros too, whose state leaves every bound while z tends to 0.
 """
 
 from __future__ import annotations
@@ -130,13 +130,13 @@ def _without_profile(theta: KnownTheta, place: Callable[[str], str]) -> Iterator
     names = [f"theta[{j + 1}]" for j in sorted(theta.absent)]
     if not names:
         return
-    what = "has no profile, so that it is 0 throughout"
+    what = "it has no profile, and is 0 throughout"
     if len(names) > 1:
-        what = f"and {', '.join(names[1:])} have no profile, so that they are 0 throughout"
+        what = f"it and {', '.join(names[1:])} have no profile, and are 0 throughout"
     yield Remark(
         place(names[0]),
         what,
-        'give one, such as [{constant = 1.0}], or [{constant = 0.0}] where 0 is meant',
+        "give one, such as [{constant = 1.0}], or [{constant = 0.0}] where 0 is meant",
         broken=False,
     )
 
@@ -149,7 +149,7 @@ def _not_known(theta: KnownTheta, place: Callable[[str], str]) -> Iterator[Remar
     reasons = ", ".join(f"theta[{j + 1}] {why}" for j, why in sorted(theta.unsure.items()))
     yield Remark(
         place(f"theta[{first + 1}]"),
-        f"whether theta(t) keeps to the assumptions is known of its bounds alone, because {reasons}",
+        f"that theta(t) keeps to the assumptions cannot be known for sure: {reasons}",
         "keep it within delta of the centre, and b constant and Hurwitz where there is one",
         broken=False,
     )
@@ -169,12 +169,13 @@ def _radius(
     left_out = stated is not None and name not in stated
     if not outside and not left_out:
         return
-    start = f"is left out, and so {given:.6g}" if left_out else f"= {given:.6g}"
-    fills = "a box of radius" if name == "delta" else "an interval of radius"
+    given_as = f"it is left out, and so {given:.6g}, which" if left_out else f"{given:.6g}"
+    compared = "is less than" if outside else "covers"
+    side = "box" if name == "delta" else "interval"
     remedy = f"give {name} = {radius:.6g}"
     yield Remark(
         place(name),
-        f"{start}, while {of} fills {fills} {radius:.6g}",
+        f"{given_as} {compared} {radius:.6g}, the radius of the {side} that {of} fills",
         f"{remedy}, or narrow the profile" if outside else f"{remedy}, or more",
         broken=outside,
     )
@@ -200,26 +201,24 @@ def _numerator(
     sign = float(np.asarray(values["sign_b_m"], float).item())
     ends = sign * theta.low[0], sign * theta.high[0]
     if 0 in known and min(ends) <= 0:
-        same_sign = max(ends) < 0
-        yield Remark(
-            place("sign_b_m") if same_sign else place("theta[1]"),
-            f"= {sign:+.0f}, while b_{m} = theta[1] is {'negative' if sign > 0 else 'positive'}: "
-            f"{b[0]:.6g} (Assumption 3)"
-            if same_sign
-            else f"b_{m} is 0 or passes through 0, and has no sign (Assumption 3)",
-            f"give sign_b_m = {-sign:.0f}"
-            if same_sign
-            else f"give a b_{m} that is not 0, or a form of smaller m",
-            broken=True,
-        )
+        opposite = max(ends) < 0
+        if opposite:
+            actual = "negative" if sign > 0 else "positive"
+            what = f"it is {sign:+.0f}, while b_{m} = theta[1] is {actual}, {b[0]:.6g}"
+            remedy = f"give sign_b_m = {-sign:.0f}"
+        else:
+            what = f"b_{m} is 0 or passes through 0, and has no sign"
+            remedy = f"give a b_{m} that is not 0, or a form of smaller m"
+        where = place("sign_b_m" if opposite else "theta[1]")
+        yield Remark(where, f"{what} (Assumption 3)", remedy, broken=True)
     zeros = np.roots(b) if len(known) == first and b.any() else np.zeros(0)
     unstable = [s for s in zeros if s.real >= -ZERO_ROUNDING * abs(s)]
     if unstable:
         listed = ", ".join(_complex(s) for s in unstable if s.imag >= 0)
         yield Remark(
             place(f"theta[{first}]"),
-            f"{_polynomial(b)} is not Hurwitz (Assumption 2): the plant has a zero at s = {listed}, "
-            "so that u and x grow without bound while y tends to 0",
+            f"{_polynomial(b)} is not Hurwitz (Assumption 2): the plant has a zero at "
+            f"s = {listed}, so that u and x grow without bound while y tends to 0",
             "give b with all zeros in the open left half-plane, or use state feedback",
             broken=True,
         )
@@ -241,11 +240,13 @@ def _sets(
         missed = reach > delta * (1 + BALL_ROUNDING) or _norm(off[:first]) > BALL_ROUNDING
         if missed:
             yield _outside(law, center, "the centre of theta(t)", place)
-    if first and theta.center[0] != 0:
-        rho_law, inverse = claim_of(values, "rho_hat", 1), np.array([1 / theta.center[0]])
-        if not rho_law.leaves_open and rho_law.restricts:
-            if _norm(rho_law.nearest(inverse) - inverse) > BALL_ROUNDING * _norm(inverse):
-                yield _outside(rho_law, inverse, f"1/b_{first - 1}", place)
+    if not first:
+        return
+    rho_law = claim_of(values, "rho_hat", 1)
+    if theta.center[0] != 0 and rho_law.restricts and not rho_law.leaves_open:
+        inverse = np.array([1 / theta.center[0]])
+        if _norm(rho_law.nearest(inverse) - inverse) > BALL_ROUNDING * _norm(inverse):
+            yield _outside(rho_law, inverse, f"1/b_{first - 1}", place)
 
 
 def _outside(law: Claim, value: Vector, of: str, place: Callable[[str], str]) -> Remark:
@@ -274,8 +275,9 @@ def _norm(v: Vector) -> float:
 
 def _complex(s: complex) -> str:
     if abs(s.imag) <= ZERO_ROUNDING * abs(s):
-        return f"{s.real:.6g}"
-    return f"{s.real:.6g} +- {abs(s.imag):.6g}i"
+        return f"{s.real + 0.0:.6g}"
+    real = 0.0 if abs(s.real) <= ZERO_ROUNDING * abs(s) else s.real
+    return f"{real:.6g} +- {abs(s.imag):.6g}i"
 
 
 def _polynomial(b: Vector) -> str:

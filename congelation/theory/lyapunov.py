@@ -111,7 +111,8 @@ def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
 
     delta, delta_1 = values["delta"].item(), values["delta_1"].item()
     certified = bool(values["certified"].item()) and delta > 0
-    weight = (1 + delta_1 / (g * delta) if certified else 1) * np.sum(1 / (4 * values["d"]))
+    weight = float(np.sum(1 / (4 * values["d"])))
+    weight *= 1 + delta_1 / (g * delta) if certified else 1
     offset: tuple[float, ...] = ()
     if n == 1 and not values["damping"].item():
         weight, offset = 0.0, (0.0, min(delta, delta_1))

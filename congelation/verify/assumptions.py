@@ -14,7 +14,7 @@ from congelation.scenario.scenario import Case
 from congelation.theory.assumptions import Remark, remarks_on
 from congelation.verify.reference import start_values_of, theta_of
 
-__all__ = ["case_assumptions", "case_warnings"]
+__all__ = ["case_assumptions", "case_warnings", "loops_of"]
 
 _ELEMENT = re.compile(r"(?P<name>\w+)(\[[\d,]+\])?")
 
@@ -25,24 +25,24 @@ def case_assumptions(case: Case) -> tuple[Remark, ...]:
     A loop is a plant and a controller of one structure, both from build_fmu.py, of which the
     controller drives the plant. What is no such loop has no theorem, and no remarks.
     """
-    about = {c.name: _about(c) for c in case.system.components}
-    links = [
-        (*str(c).split(" -> ")[0].split(".", 1), *str(c).split(" -> ")[1].split(".", 1))
-        for c in case.system.connections
-    ]
-    remarks: list[Remark] = []
-    for plant in case.system.components:
-        own = about[plant.name]
-        if own is None or own["role"] != "plant":
-            continue
-        drivers = {source for source, _, target, name in links if (target, name) == (plant.name, "u")}
-        controllers = [c for c in case.system.components if c.name in drivers]
-        for controller in controllers:
-            other = about[controller.name]
-            if other is not None and other["role"] == "controller" and _same(own, other):
-                driven = {name for _, _, target, name in links if target == plant.name}
-                remarks += _of_loop(plant, controller, own, driven)
+    driven = {c.target for c in case.system.connections}
+    remarks = [remark for loop in loops_of(case) for remark in _of_loop(*loop, driven)]
     return tuple(sorted(remarks, key=lambda remark: not remark.broken))
+
+
+def loops_of(case: Case) -> list[tuple[Component, Component]]:
+    """Each plant with each controller of its structure that drives it, both from build_fmu.py."""
+    about = {c.name: _about(c) for c in case.system.components}
+    drives = {(c.source.split(".")[0], c.target) for c in case.system.connections}
+    return [
+        (plant, controller)
+        for plant in case.system.components
+        for controller in case.system.components
+        if about[plant.name].get("role") == "plant"
+        and about[controller.name].get("role") == "controller"
+        and all(about[plant.name][k] == about[controller.name][k] for k in ("form", "structure"))
+        and (controller.name, f"{plant.name}.u") in drives
+    ]
 
 
 def case_warnings(case: Case) -> tuple[str, ...]:
@@ -50,11 +50,13 @@ def case_warnings(case: Case) -> tuple[str, ...]:
     return tuple(str(remark) for remark in case_assumptions(case))
 
 
-def _of_loop(
-    plant: Component, controller: Component, about: Mapping[str, Any], driven: set[str]
-) -> tuple[Remark, ...]:
+def _of_loop(plant: Component, controller: Component, driven: set[str]) -> tuple[Remark, ...]:
     profiles, offsets = theta_of(start_values_of(plant))
-    inputs = {j for j in range(len(profiles)) if {"dtheta", f"dtheta[{j + 1}]"} & driven}
+    inputs = {
+        j
+        for j in range(len(profiles))
+        if {f"{plant.name}.dtheta", f"{plant.name}.dtheta[{j + 1}]"} & driven
+    }
     # A profile that is 0, and that the scenario does not state, is one that nobody stated.
     absent = [
         j
@@ -63,6 +65,8 @@ def _of_loop(
         and not any(name.startswith(f"profile[{j + 1}].") for name in plant.start)
         and f"dtheta[{j + 1}]" not in plant.start
     ]
+
+    about = _about(plant)
 
     def place(name: str) -> str:
         if name.startswith("theta["):
@@ -77,17 +81,13 @@ def _of_loop(
     )
 
 
-def _about(component: Component) -> dict[str, Any] | None:
-    """The spec that the component's FMU was built from, if it has one."""
+def _about(component: Component) -> dict[str, Any]:
+    """The spec that the component's FMU was built from; empty if it has none."""
     with zipfile.ZipFile(component.fmu) as archive:
         if "resources/spec.json" not in archive.namelist():
-            return None
+            return {}
         about: dict[str, Any] = json.loads(archive.read("resources/spec.json"))
-    return about if {"role", "form", "structure"} <= about.keys() else None
-
-
-def _same(plant: Mapping[str, Any], controller: Mapping[str, Any]) -> bool:
-    return all(plant[key] == controller[key] for key in ("form", "structure"))
+    return about if {"role", "form", "structure"} <= about.keys() else {}
 
 
 def _parameters(values: Mapping[str, object]) -> dict[str, list[float]]:

@@ -1,8 +1,8 @@
 """The Lyapunov certificate of a run, along its recorded trajectory.
 
 The certificate holds the congealed parameters ell, any point that theta(t) keeps within delta of;
-here it is the centre of the box that theta(t) fills. Only Controller 2 of a plant of first order has
-its ell elsewhere, at the end of the interval that makes the perturbation stabilising.
+here it is the centre of the box that theta(t) fills. Only Controller 2 of a plant of first order
+has its ell elsewhere, at the end of the interval that makes the perturbation stabilising.
 """
 
 from __future__ import annotations
