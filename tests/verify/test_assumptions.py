@@ -128,8 +128,7 @@ def test_theta_that_another_component_drives_cannot_be_known(tmp_path):
 
 
 def test_theta_without_a_profile_is_named(tmp_path):
-    """The shipped FMU of the plant (60) has profiles of its own, which a scenario may leave out;
-    one of a spec without them has none."""
+    """Neither the spec of the FMU nor the scenario gives it one."""
     text = SPEC.replace("PLANT", "BarePlant").replace("CONTROLLER", "BareController")
     (tmp_path / "bare.toml").write_text(text)
     assert main(["--spec", str(tmp_path / "bare.toml"), "--out", str(tmp_path)]) == 0
