@@ -114,7 +114,7 @@ def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
     weight = float(np.sum(1 / (4 * values["d"])))
     weight *= 1 + delta_1 / (g * delta) if certified else 1
     offset: tuple[float, ...] = ()
-    if n == 1 and not values["damping"].item():
+    if n == 1 and _free_ell(loop):
         weight, offset = 0.0, (0.0, min(delta, delta_1))
     sign = values["sign_b_m"].item()
     V = (
@@ -257,15 +257,22 @@ def _state(loop: ClosedLoop, name: str) -> ca.SX:
 def _ball(loop: ClosedLoop, first_order: Matrix | None = None) -> PerturbationSet:
     """|theta - center| <= delta.
 
-    Where V' holds theta in (first_order . Delta) z^2 alone and there is no damping, ell is chosen
-    such that this product is never positive: center + delta first_order/|first_order|.
+    Where V' holds theta in (first_order . Delta) z^2 alone and ell may be chosen, it is such that
+    this product is never positive: center + delta first_order/|first_order|.
     """
     _, theta = loop.arguments
-    delta, offset = loop.values["delta"].item(), np.zeros(theta.numel())
-    undamped = first_order is not None and not loop.values["damping"].item()
-    if first_order is not None and undamped and first_order.any():
-        offset = -delta * first_order / np.linalg.norm(first_order)
-    return PerturbationSet(delta, (True,) * theta.numel(), offset=tuple(offset) if undamped else ())
+    delta = loop.values["delta"].item()
+    offset: tuple[float, ...] = ()
+    if first_order is not None and first_order.any() and _free_ell(loop):
+        offset = tuple(-delta * first_order / np.linalg.norm(first_order))
+    return PerturbationSet(delta, (True,) * theta.numel(), offset=offset)
+
+
+def _free_ell(loop: ClosedLoop) -> bool:
+    """Whether ell need not be the centre of theta(t): without damping it would fail there, and no
+    set of the adaptation law has to hold it."""
+    law = claim_of(loop.values, "theta_hat", loop.state("controller", "theta_hat").symbol.numel())
+    return not loop.values["damping"].item() and not law.restricts
 
 
 def _within(law: Claim) -> Sampler:

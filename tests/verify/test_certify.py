@@ -111,6 +111,56 @@ def test_controller_2_of_first_order_holds_with_ell_at_the_end_of_the_interval()
         assert certify(design, samples=200).verdict is Verdict.HOLDS
 
 
+UNDAMPED = {
+    "strict feedback": """
+form = "strict-feedback"
+structure = {n = 1, p = 2, phibar = {"1,1" = [3, -4]}}
+[plant]
+name = "P"
+profile = {"theta[1]" = [{sine = {amplitude = 0.6, omega = 1}}], "theta[2]" = 2}
+[controller]
+name = "C"
+start = {delta = 0.6, damping = false, c = [0.2]}
+""",
+    "matched": """
+form = "matched"
+structure = {A = [[1]], B = [-2]}
+[plant]
+name = "P"
+profile = {"theta[1]" = [{constant = 3}, {sine = {amplitude = 0.6, omega = 1}}]}
+[controller]
+name = "C"
+start = {delta = 0.6, damping = false}
+""",
+    "observer": """
+form = "observer"
+structure = {n = 1, m = 0}
+[plant]
+name = "P"
+profile = {"theta[1]" = -2, "theta[2]" = [{sine = {amplitude = 0.6, omega = 1}}]}
+[controller]
+name = "C"
+start = {delta = 0.6, delta_1 = 0.6, damping = false, sign_b_m = -1}
+""",
+}
+
+
+@pytest.mark.parametrize("text", UNDAMPED.values(), ids=UNDAMPED)
+def test_controller_2_of_first_order_holds_in_every_form(tmp_path, text):
+    assert certified(tmp_path, text).verdict is Verdict.HOLDS
+
+
+def test_a_projection_leaves_no_choice_of_ell(tmp_path):
+    """inf theta(t) is not in the box about the centre, and so Controller 2 has no certificate."""
+    profile = '"theta[1]" = [{constant = 2}, {sine = {amplitude = 3, omega = 1}}]'
+    box = (
+        "delta = 3, damping = {}, projection_box = true, theta_half_width = [1], theta_center = [2]"
+    )
+    assert certified(tmp_path, first_order(profile, box.format("true"))).holds
+    found = certified(tmp_path, first_order(profile, box.format("false")))
+    assert found.verdict is Verdict.VIOLATED
+
+
 @pytest.mark.parametrize(("certified_", "verdict"), [("true", "HOLDS"), ("false", "VIOLATED")])
 def test_printed_damping_is_caught(tmp_path, certified_, verdict):
     """(59) as printed fails where the corrected damping of the same gains holds."""
