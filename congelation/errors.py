@@ -14,7 +14,14 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-__all__ = ["CongelationError", "InfeasibleDesign", "InvalidInput", "SlaveError", "nearest"]
+__all__ = [
+    "CongelationError",
+    "DesignWarning",
+    "InfeasibleDesign",
+    "InvalidInput",
+    "SlaveError",
+    "nearest",
+]
 
 
 class CongelationError(Exception):
@@ -44,6 +51,10 @@ class InvalidInput(CongelationError, ValueError):
 
 class InfeasibleDesign(InvalidInput):
     """The gains asked for do not exist; the text names the nearest ones that do."""
+
+
+class DesignWarning(UserWarning):
+    """A design may be built and run, but the theorem does not cover it; the text says why."""
 
 
 class SlaveError(CongelationError):

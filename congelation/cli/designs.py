@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from congelation.cli.shared import VIOLATED, complain, print_json, print_table
+from congelation.cli.shared import FAILED, VIOLATED, complain, print_json, print_table
 from congelation.cosim.info import info as look_at
+from congelation.errors import DesignWarning
 from congelation.export.build import build as build_fmus
 from congelation.export.examples import copy_examples, write_starter
-from congelation.verify.certify import Certification, designs_of
+from congelation.verify.certify import Certification, Verdict, designs_of
 from congelation.verify.certify import certify as search
 
 __all__ = ["build", "certify", "examples", "info", "new"]
@@ -51,7 +53,12 @@ def build(
     out: Annotated[Path, typer.Option(help="Folder for the FMUs.", metavar="DIR")] = Path("fmus"),
 ) -> None:
     """Build the plant and the controller FMUs of specs."""
-    for path in build_fmus(*specs, out=out):
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always", DesignWarning)
+        paths = build_fmus(*specs, out=out)
+    for warning in found:
+        complain(f"warning: {warning.message}")
+    for path in paths:
         print(path)
 
 
@@ -77,57 +84,70 @@ def info(
         print(found)
 
 
+_SHORT = {
+    Verdict.HOLDS: "holds",
+    Verdict.VIOLATED: "violated",
+    Verdict.NOT_CLAIMED: "no certificate",
+    Verdict.ASSUMPTION_BROKEN: "assumption",
+    Verdict.PRECISION: "precision",
+}
+"""The verdicts as cells of a table."""
+
+
 def certify(
     file: Annotated[Path, typer.Argument(help="Spec or scenario (.toml).", show_default=False)],
     samples: Annotated[int, typer.Option(min=1, help="Random states to try.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="Of the random states.")] = 0,
     json: AsJson = False,
 ) -> None:
-    """Search for states where V' exceeds the rate that a design promises; exit code 3 if found."""
+    """Check the assumptions of a design, and search for states where V' exceeds its promise.
+
+    Exit code 0: every design holds; 3: one is violated or breaks an assumption; 1: of one nothing
+    can be said, because its law has no certificate or double precision does not suffice.
+    """
     found = [search(design, samples, seed) for design in designs_of(file)]
     if json:
-        print_json([_record(c) for c in found])
+        print_json([_record(certification) for certification in found])
     else:
         print_table(
             f"{file}",
             ["worst margin", "relative", "delta", "radius of theta", ""],
-            [_line(c) for c in found],
+            [_line(certification) for certification in found],
         )
-    failed = [c for c in found if not c.holds]
-    for certification in failed:
-        complain(f"{certification.design.name}: {_why(certification)}")
-    if failed:
+    for certification in found:
+        name = certification.design.name
+        for warning in certification.warnings:
+            complain(f"{name}: warning: {warning}")
+        for reason in certification.reasons:
+            complain(f"{name}: {certification.verdict.value}: {reason}")
+    verdicts = {certification.verdict for certification in found}
+    if verdicts & {Verdict.VIOLATED, Verdict.ASSUMPTION_BROKEN}:
         raise typer.Exit(VIOLATED)
+    if verdicts - {Verdict.HOLDS}:
+        raise typer.Exit(FAILED)
 
 
 def _record(found: Certification) -> dict[str, object]:
+    finding = found.finding
     return {
         "design": found.design.name,
-        "holds": found.holds,
-        "margin": found.finding.margin.value,
-        "relative_margin": found.finding.margin.relative,
-        "state": dict(found.finding.state),
+        "verdict": found.verdict.name,
+        "reasons": list(found.reasons),
+        "warnings": list(found.warnings),
+        "margin": None if finding is None else finding.margin.value,
+        "relative_margin": None if finding is None else finding.margin.relative,
+        "state": {} if finding is None else dict(finding.state),
         "delta": found.delta,
         "radius": found.design.radius,
     }
 
 
 def _line(found: Certification) -> tuple[str, list[str]]:
-    margin = found.finding.margin
+    margin = None if found.finding is None else found.finding.margin
     return found.design.name, [
-        f"{margin.value:.3g}",
-        f"{margin.relative:.1e}",
+        "" if margin is None else f"{margin.value:.3g}",
+        "" if margin is None else f"{margin.relative:.1e}",
         f"{found.delta:.4g}",
         f"{found.design.radius:.4g}",
-        "holds" if found.holds else "violated",
+        _SHORT[found.verdict],
     ]
-
-
-def _why(found: Certification) -> str:
-    if found.finding.violated:
-        state = ", ".join(f"{name} = {value:.4g}" for name, value in found.finding.state.items())
-        return f"V' + promised rate = {found.finding.margin.value:.4g} > 0 at {state}"
-    return (
-        f"theta(t) fills a box of radius {found.design.radius:.4g}, the design is made for "
-        f"delta = {found.delta:.4g}; set delta to that radius, or narrow the profile"
-    )

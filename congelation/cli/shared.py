@@ -42,7 +42,7 @@ EXIT_CODES: Mapping[int, str] = {
     DONE: "done",
     FAILED: "a run failed, or a check found something",
     BAD_INPUT: "the input or the usage is wrong",
-    VIOLATED: "a certificate is violated",
+    VIOLATED: "a certificate is violated, or an assumption of its theorem is broken",
     INTERRUPTED: "interrupted",
 }
 """What the exit codes mean: the same for every command."""

@@ -8,6 +8,7 @@ import json
 import re
 import sys
 import tempfile
+import warnings
 import zipfile
 from pathlib import Path
 from types import ModuleType
@@ -15,7 +16,8 @@ from xml.etree import ElementTree
 
 from pythonfmu.builder import FmuBuilder
 
-from congelation.errors import CongelationError, InvalidInput
+from congelation.errors import CongelationError, DesignWarning, InvalidInput
+from congelation.export.assumptions import spec_warnings
 from congelation.export.model_description import complete
 from congelation.export.spec import FmuSpec, Spec, read_spec
 from congelation.export.stage import Staged, stage
@@ -64,6 +66,11 @@ def build(*specs: Spec | Path | str, out: Path | str = "fmus") -> list[Path]:
     InvalidInput
         A spec is wrong, two FMUs have one name, or nothing can be written to `out`.
 
+    Warns
+    -----
+    DesignWarning
+        A spec breaks an assumption of its design's theorem, or whether it does cannot be known.
+
     Examples
     --------
     >>> paths = cg.build("specs/scalar.toml", out=folder)
@@ -85,6 +92,9 @@ def build(*specs: Spec | Path | str, out: Path | str = "fmus") -> list[Path]:
                     f"spec '{spec.name}': '{fmu.name}' is an FMU of spec '{other.name}' too; give "
                     "it another name, or build into another folder"
                 )
+    for spec in read:
+        for line in spec_warnings(spec):
+            warnings.warn(f"spec '{spec.name}': {line}", DesignWarning, stacklevel=2)
     paths: list[Path] = []
     try:
         for spec in read:

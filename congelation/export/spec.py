@@ -72,12 +72,15 @@ class FmuSpec:
         The simpler equations that hold with neutral adaptation settings.
     profiles : tuple of ProfileSlots
         Of a plant: the default profile of each component of theta.
+    stated : frozenset of str
+        The parameters, and the components of theta, that the spec gives a value or a profile.
     """
 
     name: str
     model: Model
     special: Special | None = None
     profiles: tuple[ProfileSlots, ...] = ()
+    stated: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -217,7 +220,7 @@ def _block(section: Section, model: Model, special: Special | None) -> FmuSpec:
     changed = start.attempt("", lambda: model.with_defaults(start.data))
     # An FMU whose own defaults it would refuse is not built.
     start.attempt("", lambda: _check_defaults(model, start.data, special))
-    return FmuSpec(name, changed, special)
+    return FmuSpec(name, changed, special, stated=frozenset(start.data))
 
 
 def _plant(section: Section, model: Model, base: Path) -> FmuSpec:
@@ -227,7 +230,8 @@ def _plant(section: Section, model: Model, base: Path) -> FmuSpec:
     names = model.theta.names if model.theta is not None else ()
     table = section.section("profile").only(names)
     profiles = tuple(_profile(table, name, base) for name in names)
-    return replace(block, profiles=tuple(ProfileSlots(p, _slots(p)) for p in profiles))
+    slots = tuple(ProfileSlots(p, _slots(p)) for p in profiles)
+    return replace(block, profiles=slots, stated=block.stated.union(table.data))
 
 
 def _profile(table: Section, name: str, base: Path) -> Profile:

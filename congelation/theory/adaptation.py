@@ -12,7 +12,10 @@ is asked three things by each step i, whose regressor is w_i and whose error is 
 With these three the cross terms telescope for any chi, because
 chi(tau_n) - chi(tau_i) = sum_{j>i} slope_j z_j, and the Lyapunov function obeys
 
-    V' = (V' of the gradient law) + (ell - theta_hat)^T (tau_n - chi(theta_hat, tau_n)).
+    V' = (V' of the gradient law) + (ell - theta_hat)^T (W z - chi(theta_hat, tau_n)),
+
+where tau_n = W z for every law but the dead zone. What is left of the certificate under a law is
+its `Claim`.
 
 The recursion differentiates chi, so the classical laws appear here in sufficiently smooth forms.
 
@@ -34,12 +37,15 @@ References
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from congelation.theory.model import Domain, Parameter, Variables, scalar, vector
 
@@ -47,8 +53,10 @@ __all__ = [
     "NEUTRAL",
     "Adaptation",
     "AdaptationFactory",
+    "Claim",
     "Gradient",
     "Robust",
+    "claim_of",
     "gradient",
     "robust",
 ]
@@ -278,6 +286,94 @@ def robust(theta_hat: Variables, Gamma: ca.SX, steps: int) -> Robust:
         dead_zone=scalar("dead_zone", "Errors z_i up to this size do not move the estimates"),
     )
     return Robust(theta_hat, Gamma, max(steps - 1, 0), settings, *_set_of(theta_hat))
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What the certificate says under a law, for one estimate and the constant that it estimates.
+
+    With `leaves_open` empty, V' obeys the gradient law's bound for every constant ell in the set
+    {|ell - center| <= bound, |ell_j - center_j| <= half_width_j}, less
+    (sigma/2) (|ell - theta_hat|^2 - |ell - center|^2) of a leakage that acts everywhere.
+
+    Attributes
+    ----------
+    estimate : str
+        ``theta_hat`` or ``rho_hat``.
+    leaves_open : str
+        Why there is no certificate; empty where there is one.
+    sigma : float
+        Leakage that acts everywhere; 0 with `switching`, which does not act in the set.
+    center, half_width : ndarray, shape (p,)
+    bound : float
+        Infinite where the law asks nothing of ell, as are the half-widths.
+    """
+
+    estimate: str
+    leaves_open: str
+    sigma: float
+    center: NDArray[np.float64]
+    bound: float
+    half_width: NDArray[np.float64]
+
+    @property
+    def restricts(self) -> bool:
+        """Whether the certificate holds for some ell only."""
+        return math.isfinite(self.bound) or bool(np.isfinite(self.half_width).all())
+
+    def nearest(self, ell: ArrayLike) -> NDArray[np.float64]:
+        """`ell` if it is in the set, else a point of the set near to it."""
+        offset = np.clip(np.asarray(ell, float) - self.center, -self.half_width, self.half_width)
+        size = float(np.linalg.norm(offset))
+        return self.center + (offset if size <= self.bound else offset * (self.bound / size))
+
+    def decay(self, ell: ca.SX, estimate: ca.SX) -> ca.SX:
+        """What leakage adds to the claimed rate, for V = |ell - theta_hat|^2/(2 Gamma)."""
+        return self.sigma / 2 * ca.sumsqr(ell - estimate)
+
+    def residue(self, ell: ca.SX) -> ca.SX:
+        """What leakage leaves of V' where everything else is 0."""
+        return self.sigma / 2 * ca.sumsqr(ell - ca.DM(self.center))
+
+
+def claim_of(values: Mapping[str, ArrayLike], estimate: str, size: int) -> Claim:
+    """The claim of the law that these parameters of a controller set.
+
+    Parameters
+    ----------
+    values : mapping
+        Parameters by name; those of `robust` that are absent have their neutral values.
+    estimate : str
+        ``theta_hat`` or ``rho_hat``.
+    size : int
+        Number of its elements.
+    """
+
+    def number(name: str, neutral: float) -> float:
+        return float(np.asarray(values.get(name, neutral), float).item())
+
+    base = estimate.removesuffix("_hat")
+    sigma, switching = number("sigma", 0.0), number("switching", 0.0) != 0
+    leaves_open = ""
+    if number("adapt", 1.0) == 0:
+        leaves_open = "frozen estimates (adapt = false) leave (ell - theta_hat)^T W z in V'"
+    elif number("dead_zone", 0.0) > 0:
+        leaves_open = (
+            f"the dead zone (dead_zone = {number('dead_zone', 0.0):.9g}) leaves "
+            "(ell - theta_hat)^T (W z - chi) in V', which has no sign"
+        )
+    ball = number("projection_ball", 0.0) != 0 or (switching and sigma > 0)
+    half_width = np.full(size, math.inf)
+    if number("projection_box", 0.0) != 0:
+        half_width = np.asarray(values[f"{base}_half_width"], float).ravel()
+    return Claim(
+        estimate,
+        leaves_open,
+        0.0 if switching else sigma,
+        np.asarray(values.get(f"{base}_center", np.zeros(size)), float).ravel(),
+        number(f"{base}_bound", 1.0) if ball else math.inf,
+        half_width,
+    )
 
 
 def _set_of(estimate: Variables) -> tuple[Variables, Variables, Variables]:

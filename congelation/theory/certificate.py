@@ -1,9 +1,10 @@
 """The Lyapunov certificate of a closed loop, at a state, along a run, and by search.
 
-Each design claims V' <= -(rate of decay) for every perturbation Delta = theta - ell that the radii
-admit, where V holds the congealed parameters ell. V' is affine in Delta, so its largest value is
-known in closed form: the value at Delta = 0 plus the support function of the admitted set at the
-gradient. The *margin* is that largest V' plus the claimed rate: positive where the claim fails.
+Each design claims V' <= -rate + residue for every perturbation Delta = theta - ell that the radii
+admit, where V holds the congealed parameters ell; the residue is 0 except where a law trades
+regulation for bounded estimates. V' is affine in Delta, so its largest value is known in closed
+form: the value at Delta = 0 plus the support function of the admitted set at the gradient. The
+*margin* is that largest V' plus the claimed rate, less the residue: positive where the claim fails.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from scipy.optimize import minimize
 from congelation.errors import InvalidInput
 from congelation.theory.closed_loop import ClosedLoop, Compiled
 
-__all__ = ["Certificate", "Finding", "Margin", "PerturbationSet"]
+__all__ = ["Certificate", "Coordinates", "Finding", "Margin", "PerturbationSet"]
 
 Vector = NDArray[np.float64]
 
@@ -32,10 +33,18 @@ the rounding of those terms."""
 ASCENT = {"maxiter": 100, "maxfun": 300}
 """Effort of one local ascent. Where the claim fails, the excess may have no maximum at all."""
 
+DECADES = (-4.0, 1.0)
+"""Sizes of a group of coordinates that the search draws, as powers of 10. Near z = 0 the claim is
+one of quadratic forms, so that small states show what large ones, where the damping of high order
+dominates, do not."""
+
+UNEVEN = 3.0
+"""Decades by which single coordinates of a group are smaller, in every other state drawn."""
+
 
 @dataclass(frozen=True)
 class PerturbationSet:
-    """{Delta : |Delta| <= delta, |Delta_first| <= delta_1, Delta = 0 where nothing varies}.
+    """{offset + D : |D| <= delta, |D_first| <= delta_1, D = 0 where nothing varies}.
 
     Attributes
     ----------
@@ -47,15 +56,26 @@ class PerturbationSet:
         The element with a radius of its own: a_{n-1} in the output feedback design.
     delta_1 : float
         That radius.
+    offset : tuple of float
+        Centre of theta(t) minus ell, where ell is not that centre; empty: it is.
     """
 
     delta: float
     varies: tuple[bool, ...]
     first: int | None = None
     delta_1: float = math.inf
+    offset: tuple[float, ...] = ()
+
+    def ell(self, center: Vector) -> Vector:
+        """The congealed parameters for a theta(t) that varies about `center`."""
+        return center - np.array(self.offset) if self.offset else center
 
     def worst(self, gradient: Vector) -> Vector:
         """The Delta of the set with the largest gradient . Delta."""
+        Delta = self._about_zero(gradient)
+        return Delta + np.array(self.offset) if self.offset else Delta
+
+    def _about_zero(self, gradient: Vector) -> Vector:
         g = np.where(self.varies, gradient, 0.0)
         size = float(np.linalg.norm(g))
         Delta = np.zeros_like(g) if size == 0 else self.delta * (g / size)
@@ -82,8 +102,10 @@ class Margin:
         The largest V' that the set of perturbations allows.
     claimed : float
         The claimed rate of decay, e.g. sum c_i z_i^2.
+    residue : float
+        What V' may exceed -claimed by, e.g. (sigma/2) |ell - theta_center|^2 of the leakage.
     scale : float
-        Sum of the magnitudes of the terms of `rate`, against which rounding is measured.
+        Sum of the magnitudes of the terms of `value`, against which rounding is measured.
     Delta : ndarray, shape (p,)
         Where `rate` is attained.
     """
@@ -91,13 +113,14 @@ class Margin:
     V: float
     rate: float
     claimed: float
+    residue: float
     scale: float
     Delta: Vector
 
     @property
     def value(self) -> float:
-        """V' + claimed: positive where the claim fails."""
-        return self.rate + self.claimed
+        """V' + claimed - residue: positive where the claim fails."""
+        return self.rate + self.claimed - self.residue
 
     @property
     def relative(self) -> float:
@@ -118,6 +141,11 @@ class Margin:
         """Whether the claim fails here by more than rounding."""
         return self.relative > ROUNDING
 
+    @property
+    def resolved(self) -> bool:
+        """Whether the claimed rate stands out of the rounding, so that its failure would show."""
+        return self.claimed > ROUNDING * self.scale
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -129,8 +157,12 @@ class Finding:
     state : dict
         The states of the closed loop by name.
     ell : ndarray, shape (p,)
-    samples, discarded : int
-        States tried, and those of them at which some term overflowed.
+    samples, discarded, resolved : int
+        States drawn; those of them at which some term overflowed; and those at which the claimed
+        rate stands out of the rounding.
+    extreme : str
+        The parameter whose size is furthest from 1, with its value: the one to change where few
+        states are resolved.
     """
 
     margin: Margin
@@ -138,6 +170,8 @@ class Finding:
     ell: Vector
     samples: int
     discarded: int
+    resolved: int
+    extreme: str
 
     @property
     def violated(self) -> bool:
@@ -145,49 +179,80 @@ class Finding:
 
 
 @dataclass(frozen=True)
+class Coordinates:
+    """Where the search draws its states: X as a function of Y and ell.
+
+    Parameters
+    ----------
+    Y : casadi.SX, shape (number of states, 1)
+        E.g. the errors z and ell - theta_hat. Drawn in x, states of order 3 and more are nearly
+        all huge in z, where the damping swamps everything.
+    X : casadi.SX, shape (number of states, 1)
+        The states of the closed loop, in terms of Y and ell.
+    groups : tuple of int
+        Sizes of the groups of Y that are of one size each.
+    """
+
+    Y: ca.SX
+    X: ca.SX
+    groups: tuple[int, ...]
+
+    def draw(self, generator: np.random.Generator) -> Vector:
+        """A random Y."""
+        groups = []
+        for n in self.groups:
+            sizes = np.full(n, generator.uniform(*DECADES))
+            if generator.random() < 0.5:
+                sizes -= generator.uniform(0.0, UNEVEN, n)
+            groups.append(10.0**sizes * generator.normal(size=n))
+        return np.concatenate(groups)
+
+
+@dataclass(frozen=True)
 class Encounter:
     """A state that the search tried."""
 
     margin: Margin
+    Y: Vector
     X: Vector
     ell: Vector
 
-    def rank(self) -> tuple[bool, float]:
-        """Violations first, then by how far the claim is missed."""
-        return self.margin.violated, self.margin.excess
+    def rank(self) -> tuple[bool, bool, float]:
+        """Violations first, then states that show more than rounding, by how far the claim is
+        missed."""
+        return self.margin.violated, self.margin.resolved, self.margin.excess
 
 
 @dataclass(frozen=True)
 class Certificate:
-    """A Lyapunov function of a closed loop and the rate of decay that is claimed for it.
+    """A Lyapunov function V of a closed loop and the claim V' <= -claimed + residue.
 
     Attributes
     ----------
     loop : ClosedLoop
     ell : casadi.SX, shape (p, 1)
         The congealed parameters.
-    V, claimed : casadi.SX, (1, 1)
+    V, claimed, residue : casadi.SX, (1, 1)
         In terms of the loop's states and ell; numbers for the parameters.
     perturbations : PerturbationSet
     sample_ell : callable
         A random admissible ell from a generator.
+    coordinates : Coordinates
+        Where the search draws and ascends.
     """
 
     loop: ClosedLoop
     ell: ca.SX
     V: ca.SX
     claimed: ca.SX
+    residue: ca.SX
     perturbations: PerturbationSet
     sample_ell: Callable[[np.random.Generator], Vector]
+    coordinates: Coordinates
 
     def at(self, state: ArrayLike, ell: ArrayLike) -> Margin:
         """The margin at a state of the closed loop, for congealed parameters ell."""
-        numbers = self._terms(state, ell)
-        V, claimed, center, size = numbers[:4].tolist()
-        gradient = numbers[4:]
-        Delta = self.perturbations.worst(gradient)
-        reach = float(gradient @ Delta)
-        return Margin(V, center + reach, claimed, size + abs(reach) + abs(claimed), Delta)
+        return self._margin(self._terms(state, ell))
 
     def along(self, states: ArrayLike, ell: ArrayLike) -> list[Margin]:
         """The margins along a trajectory, `states` of shape (N, number of states)."""
@@ -199,7 +264,7 @@ class Certificate:
         Parameters
         ----------
         samples : int
-            Random states, of sizes from 0.01 to 10 in each variable group.
+            Random states, drawn in `coordinates`.
         ascents : int
             The worst ones of these from which a local ascent starts.
         seed : int
@@ -214,8 +279,11 @@ class Certificate:
             return self._searched(samples, ascents, np.random.default_rng(seed))
 
     def _searched(self, samples: int, ascents: int, generator: np.random.Generator) -> Finding:
-        points = [self._sample(generator) for _ in range(samples)]
-        met = [Encounter(self.at(X, ell), X, ell) for X, ell in points]
+        points = []
+        for _ in range(samples):
+            ell = self.sample_ell(generator)
+            points.append((self.coordinates.draw(generator), ell))
+        met = [self._meet(Y, ell) for Y, ell in points]
         finite = [e for e in met if math.isfinite(e.margin.excess)]
         if not finite:
             raise InvalidInput(
@@ -223,40 +291,60 @@ class Certificate:
                 f"too large or too small; the most extreme: {self._most_extreme()}"
             )
         best = sorted(finite, key=Encounter.rank, reverse=True)[:ascents]
-        climbed = [self._ascend(e.X, e.ell) for e in best]
+        climbed = [self._ascend(e.Y, e.ell) for e in best]
         worst = max([*best, *climbed], key=Encounter.rank)
-        state = dict(zip(self.loop.state_names, worst.X.tolist(), strict=True))
-        return Finding(worst.margin, state, worst.ell, samples, samples - len(finite))
+        return Finding(
+            worst.margin,
+            dict(zip(self.loop.state_names, worst.X.tolist(), strict=True)),
+            worst.ell,
+            samples,
+            samples - len(finite),
+            sum(e.margin.resolved for e in finite),
+            self._most_extreme(),
+        )
 
     def _most_extreme(self) -> str:
-        """The parameter or gain with the element whose magnitude is furthest from 1."""
+        """The parameter with the element whose magnitude is furthest from 1."""
 
         def distance(value: Vector) -> float:
             sizes = np.abs(value[value != 0])
             return float(np.abs(np.log(sizes)).max(initial=0.0))
 
-        name, value = max(self.loop.values.items(), key=lambda item: distance(item[1]))
+        own = [p.variables.name for p in self.loop.controller.parameters]
+        name = max(own, key=lambda name: distance(self.loop.values[name]))
+        value = self.loop.values[name]
         return f"{name} = {value.tolist() if value.size > 1 else value.item()}"
 
-    def _sample(self, generator: np.random.Generator) -> tuple[Vector, Vector]:
-        models = (self.loop.plant, self.loop.controller)
-        sizes = [len(s.variables.names) for model in models for s in model.states]
-        groups = [10 ** generator.uniform(-2, 1) * generator.normal(size=n) for n in sizes]
-        return np.concatenate(groups), self.sample_ell(generator)
+    def _meet(self, Y: Vector, ell: Vector) -> Encounter:
+        X = self._drawn(Y, ell)
+        return Encounter(self.at(X, ell), Y, X, ell)
 
-    def _ascend(self, X: Vector, ell: Vector) -> Encounter:
-        """A local maximum of the excess over the state, ell held."""
+    def _ascend(self, Y: Vector, ell: Vector) -> Encounter:
+        """A local maximum of the excess over the coordinates, ell held."""
 
-        def fall(state: Vector) -> tuple[float, Vector]:
-            margin = self.at(state, ell)
+        def fall(Y: Vector) -> tuple[float, Vector]:
+            margin = self.at(self._drawn(Y, ell), ell)
             # The gradient of a maximum over Delta is the gradient at the worst Delta (Danskin).
-            slope = self._slope(state, ell, margin.Delta)
+            slope = self._slope(Y, ell, margin.Delta)
             if not (math.isfinite(margin.excess) and np.isfinite(slope).all()):
-                return math.inf, np.zeros_like(state)
+                return math.inf, np.zeros_like(Y)
             return -margin.excess, -slope
 
-        found = minimize(fall, X, jac=True, method="L-BFGS-B", options=ASCENT)
-        return Encounter(self.at(found.x, ell), found.x, ell)
+        found = minimize(fall, Y, jac=True, method="L-BFGS-B", options=ASCENT)
+        return self._meet(found.x, ell)
+
+    def _margin(self, numbers: Vector) -> Margin:
+        V, claimed, residue, center, size = numbers[:5].tolist()
+        gradient = numbers[5:]
+        Delta = self.perturbations.worst(gradient)
+        reach = float(gradient @ Delta)
+        scale = size + abs(reach) + abs(claimed) + abs(residue)
+        return Margin(V, center + reach, claimed, residue, scale, Delta)
+
+    @cached_property
+    def _drawn(self) -> Compiled:
+        """(Y, ell) -> X."""
+        return Compiled([self.coordinates.X], [self.coordinates.Y, self.ell])
 
     @cached_property
     def _rate(self) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -272,15 +360,20 @@ class Certificate:
     def _terms(self) -> Compiled:
         center, size, gradient = self._rate
         X, _ = self.loop.arguments
-        return Compiled([self.V, self.claimed, center, size, gradient], [X, self.ell])
+        terms = [self.V, self.claimed, self.residue, center, size, gradient]
+        return Compiled(terms, [X, self.ell])
 
     @cached_property
     def _slope(self) -> Compiled:
-        """The gradient of the excess with respect to the state, Delta held."""
+        """The gradient of the excess with respect to the coordinates, Delta held."""
         center, size, gradient = self._rate
         X, _ = self.loop.arguments
         Delta = ca.SX.sym("Delta", self.ell.numel())
         reach = gradient.T @ Delta
-        scale = size + ca.fabs(reach) + ca.fabs(self.claimed)
-        excess = (center + reach + self.claimed) / (self.claimed + ROUNDING * scale)
-        return Compiled([ca.gradient(excess, X)], [X, self.ell, Delta])
+        scale = size + ca.fabs(reach) + ca.fabs(self.claimed) + ca.fabs(self.residue)
+        value = center + reach + self.claimed - self.residue
+        excess = value / (self.claimed + ROUNDING * scale)
+        drawn = self.coordinates
+        # The chain rule by hand: the gradient in X, pulled back through X(Y), is the smaller graph.
+        (slope,) = ca.substitute([ca.gradient(excess, X)], [X], [drawn.X])
+        return Compiled([ca.jtimes(drawn.X, drawn.Y, slope, True)], [drawn.Y, self.ell, Delta])

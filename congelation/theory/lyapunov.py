@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from congelation.errors import InvalidInput
-from congelation.theory.certificate import Certificate, PerturbationSet
+from congelation.theory.adaptation import Claim, claim_of
+from congelation.theory.certificate import Certificate, Coordinates, PerturbationSet
 from congelation.theory.closed_loop import ClosedLoop
 from congelation.theory.gains import filter_norm, filter_riccati, iss_riccati, iss_weight
 from congelation.theory.kfilter import KFilter
@@ -23,29 +24,72 @@ __all__ = [
 ]
 
 Matrix = NDArray[np.float64]
+Sampler = Callable[[np.random.Generator], Matrix]
 
 
 def scalar_certificate(loop: ClosedLoop) -> Certificate:
-    """(5): V = x^2/2 + (ell - theta_hat)^2/(2 gamma), claimed V' <= -k_bar x^2."""
+    """(5): V = x^2/2 + (ell - theta_hat)^2/(2 gamma), claimed V' <= -k_bar x^2.
+
+    Controller 2 is certified too, with ell = inf theta(t): V' = -k_bar x^2 - (theta - ell) x^2.
+    """
     x, ell = _state(loop, "x"), _congealed(loop)
     V = x**2 / 2 + _estimation(loop, ell, loop.values["gamma"]) / 2
     claimed = loop.values["k_bar"].item() * x**2
-    return Certificate(loop, ell, V, claimed, _ball(loop), _any(ell))
+    return _of_x(loop, ell, V, claimed, _ball(loop, -np.ones(1)), leakage=1)
 
 
 def matched_certificate(loop: ClosedLoop) -> Certificate:
-    """V = x^T P x + (ell - theta_hat)^T Gamma^-1 (ell - theta_hat), claimed V' <= -x^T Q x."""
+    """V = x^T P x + (ell - theta_hat)^T Gamma^-1 (ell - theta_hat), claimed V' <= -x^T Q x.
+
+    Of first order, V' holds 2 P B Delta x^2, so that Controller 2 is certified with an extreme ell.
+    """
     x, ell, values = _state(loop, "x"), _congealed(loop), loop.values
     V = _quadratic(values["P"], x) + _estimation(loop, ell, values["Gamma"])
-    return Certificate(loop, ell, V, _quadratic(values["Q"], x), _ball(loop), _any(ell))
+    first_order = None
+    if x.numel() == 1:
+        (gain,) = loop.controller.gains
+        first_order = np.sign(np.asarray(gain.constants["B"], float)).ravel()
+    perturbations = _ball(loop, first_order)
+    return _of_x(loop, ell, V, _quadratic(values["Q"], x), perturbations, leakage=2)
 
 
 def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
-    """V = |z|^2/2 + (ell - theta_hat)^T Gamma^-1 (ell - theta_hat)/2, V' <= -sum c_i z_i^2 (23)."""
+    """V = |z|^2/2 + (ell - theta_hat)^T Gamma^-1 (ell - theta_hat)/2, V' <= -sum c_i z_i^2 (23).
+
+    Of first order, V' holds (phibar . Delta) z^2, so that Controller 2 is certified with an extreme
+    ell, for which that product is never positive.
+    """
     z, ell, values = loop.bound_signal("controller.z"), _congealed(loop), loop.values
+    x, theta_hat = _state(loop, "x"), _state(loop, "theta_hat")
+    n, p = x.numel(), theta_hat.numel()
     V = ca.sumsqr(z) / 2 + _estimation(loop, ell, values["Gamma"]) / 2
     claimed = ca.sum1(ca.DM(values["c"]) * z**2)
-    return Certificate(loop, ell, V, claimed, _ball(loop), _any(ell))
+
+    drawn_z, error = ca.SX.sym("z", n), ca.SX.sym("error", p)
+    rows = ca.SX.zeros(n)
+    for i in range(n):  # (12): z_i holds x_i with coefficient 1, and no x_j beyond
+        (rest,) = ca.substitute([z[i]], [x, theta_hat], [rows, ell + error])
+        rows[i] = drawn_z[i] - rest
+    X = _stacked(loop, {"x": rows, "theta_hat": ell + error})
+    coordinates = Coordinates(ca.vertcat(drawn_z, error), X, (n, p))
+
+    first_order = None
+    if n == 1:
+        _, theta = loop.arguments
+        (rate,) = loop.bind([loop.rate[0]])
+        (slope,) = ca.substitute([ca.jacobian(rate, theta)], [x], [1])  # phibar_{1,1}
+        first_order = np.asarray(ca.DM(slope)).ravel()
+    law = claim_of(values, "theta_hat", p)
+    return Certificate(
+        loop,
+        ell,
+        V,
+        claimed + law.decay(ell, theta_hat),
+        law.residue(ell),
+        _ball(loop, first_order),
+        _within(law),
+        coordinates,
+    )
 
 
 def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
@@ -54,43 +98,72 @@ def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
     V = z^T z/2 + (ell - theta_hat)^T Gamma^-1 (ell - theta_hat)/2
     + |b_m| (1/b_m - rho_hat)^2/(2 gamma) + (1 + delta_1/(g delta)) sum_i 1/(4 d_i) V_xtilde,
     where g is the filter's r epsilon; claimed V' <= -sum c_i z_i^2. The printed damping (59) is
-    judged by the printed weight, sum_i 1/(4 d_i).
+    judged by the printed weight, sum_i 1/(4 d_i). Of first order x_tilde does not enter z', so that
+    Controller 2 is certified without V_xtilde, with ell_a = inf a(t).
     """
     z, ell, values = loop.bound_signal("controller.z"), _congealed(loop), loop.values
     n = values["k"].size
     m = ell.numel() - n - 1
-    x_tilde = _estimation_error(loop, m, ell)
+    names = ("x", "theta_hat", "rho_hat", "eta", "lambda")
+    x, theta_hat, rho_hat, eta, lambda_ = (_state(loop, name) for name in names)
+    xi, Omega_T = _filter_signals(loop, m)
     V_x_tilde, g = _estimation_error_function(values, n - m)
 
     delta, delta_1 = values["delta"].item(), values["delta_1"].item()
     corrected = bool(values["corrected"].item()) and delta > 0
-    weight = (1 + delta_1 / (g * delta) if corrected else 1) * np.sum(1 / (4 * values["d"]))
-    sign, rho_hat = values["sign_b_m"].item(), _state(loop, "rho_hat")
+    weight = float(np.sum(1 / (4 * values["d"])))
+    weight *= 1 + delta_1 / (g * delta) if corrected else 1
+    offset: tuple[float, ...] = ()
+    if n == 1 and _free_ell(loop):
+        weight, offset = 0.0, (0.0, min(delta, delta_1))
+    sign = values["sign_b_m"].item()
     V = (
         ca.sumsqr(z) / 2
         + _estimation(loop, ell, values["Gamma"]) / 2
         + sign * ell[0] * (1 / ell[0] - rho_hat) ** 2 / (2 * values["gamma"].item())
-        + weight * _quadratic(V_x_tilde, x_tilde)
+        + weight * _quadratic(V_x_tilde, x - xi - Omega_T @ ell)  # x_tilde, (39)-(40)
     )
     varies = (False,) * (m + 1) + (True,) * n
-    perturbations = PerturbationSet(delta, varies, first=m + 1, delta_1=delta_1)
-    claimed = ca.sum1(ca.DM(values["c"]) * z**2)
+    law, rho_law = claim_of(values, "theta_hat", m + 1 + n), claim_of(values, "rho_hat", 1)
+    claimed = ca.sum1(ca.DM(values["c"]) * z**2) + law.decay(ell, theta_hat)
+    claimed += sign * ell[0] * rho_law.decay(1 / ell[0], rho_hat)
 
-    def sample_ell(generator: np.random.Generator) -> Matrix:
-        drawn = generator.normal(size=m + 1 + n)
-        drawn[0] = sign * np.exp(drawn[0])  # Assumption 3
-        return drawn
+    # Drawn are z, x_tilde, the errors of the estimates, eta and lambda_1 .. lambda_m. Row 1 of
+    # x = xi + Omega^T ell + x_tilde holds lambda_{m+1} with coefficient b_m, and z_i, i >= 2, holds
+    # lambda_{m+i} with coefficient 1, (46): they give the rest of lambda one by one, then x.
+    drawn = {"z": n - m, "x_tilde": n, "error": m + 1 + n, "rho_error": 1, "eta": n, "lambda": m}
+    free = {name: ca.SX.sym(name, size) for name, size in drawn.items()}
+    estimates = [ell + free["error"], 1 / ell[0] + free["rho_error"]]
+    full = ca.vertcat(free["lambda"], ca.SX.zeros(n - m))
+    state = xi + Omega_T @ ell + free["x_tilde"]
+    for i in range(n - m):
+        known = [ca.vertcat(free["z"][0], ca.SX.zeros(n - 1)), *estimates, free["eta"], full]
+        unsolved = state[0] - free["z"][0] if i == 0 else z[i]
+        (rest,) = ca.substitute([unsolved], [x, theta_hat, rho_hat, eta, lambda_], known)
+        full[m + i] = -rest / ell[0] if i == 0 else free["z"][i] - rest
+    (state,) = ca.substitute([state], [eta, lambda_], [free["eta"], full])
+    state[0] = free["z"][0]  # y = z_1, to the bit
+    drawn_states = [state, *estimates, free["eta"], full]
+    X = _stacked(loop, dict(zip(names, drawn_states, strict=True)))
+    return Certificate(
+        loop,
+        ell,
+        V,
+        claimed,
+        law.residue(ell) + sign * ell[0] * rho_law.residue(1 / ell[0]),
+        PerturbationSet(delta, varies, first=m + 1, delta_1=delta_1, offset=offset),
+        _with_inverse(law, rho_law, sign),
+        Coordinates(ca.vertcat(*free.values()), X, tuple(drawn.values())),
+    )
 
-    return Certificate(loop, ell, V, claimed, perturbations, sample_ell)
 
-
-def _estimation_error(loop: ClosedLoop, m: int, ell: ca.SX) -> ca.SX:
-    """x_tilde = x - xi - Omega^T ell, (39)-(40)."""
+def _filter_signals(loop: ClosedLoop, m: int) -> tuple[ca.SX, ca.SX]:
+    """xi and Omega^T of (30), (31)."""
     eta, lambda_ = (loop.state("controller", name) for name in ("eta", "lambda"))
     gains = {g.variables.name: g.variables for g in loop.controller.gains}
     k_filter = KFilter(m, eta, lambda_, gains["k"])
     xi, Omega_T = loop.bind([k_filter.xi, k_filter.Omega_T])
-    return _state(loop, "x") - xi - Omega_T @ ell
+    return xi, Omega_T
 
 
 def _estimation_error_function(values: Mapping[str, Matrix], rho: int) -> tuple[Matrix, float]:
@@ -126,6 +199,38 @@ def _iss_design(values: Mapping[str, Matrix], rho: int) -> tuple[float, float, M
     return r, epsilon, iss_weight(n, epsilon, values["epsilon_b"].item(), rho)
 
 
+def _of_x(
+    loop: ClosedLoop,
+    ell: ca.SX,
+    V: ca.SX,
+    claimed: ca.SX,
+    perturbations: PerturbationSet,
+    leakage: float,
+) -> Certificate:
+    """The certificate of a design whose error variables are x; V holds `leakage`/2 of the
+    estimation error's square."""
+    x, theta_hat = _state(loop, "x"), _state(loop, "theta_hat")
+    law = claim_of(loop.values, "theta_hat", theta_hat.numel())
+    drawn, error = ca.SX.sym("x", x.numel()), ca.SX.sym("error", theta_hat.numel())
+    X = _stacked(loop, {"x": drawn, "theta_hat": ell + error})
+    return Certificate(
+        loop,
+        ell,
+        V,
+        claimed + leakage * law.decay(ell, theta_hat),
+        leakage * law.residue(ell),
+        perturbations,
+        _within(law),
+        Coordinates(ca.vertcat(drawn, error), X, (drawn.numel(), error.numel())),
+    )
+
+
+def _stacked(loop: ClosedLoop, values: Mapping[str, ca.SX]) -> ca.SX:
+    """The states of the loop in its order, from expressions by name."""
+    states = [s.variables.name for s in (*loop.plant.states, *loop.controller.states)]
+    return ca.densify(ca.vertcat(*(values[name] for name in states)))
+
+
 def _congealed(loop: ClosedLoop) -> ca.SX:
     _, theta = loop.arguments
     return ca.SX.sym("ell", theta.numel())
@@ -149,11 +254,68 @@ def _state(loop: ClosedLoop, name: str) -> ca.SX:
     return loop.state(side, name).symbol
 
 
-def _ball(loop: ClosedLoop) -> PerturbationSet:
+def _ball(loop: ClosedLoop, first_order: Matrix | None = None) -> PerturbationSet:
+    """|theta - center| <= delta.
+
+    Where V' holds theta in (first_order . Delta) z^2 alone and ell may be chosen, it is such that
+    this product is never positive: center + delta first_order/|first_order|.
+    """
     _, theta = loop.arguments
-    return PerturbationSet(loop.values["delta"].item(), (True,) * theta.numel())
+    delta = loop.values["delta"].item()
+    offset: tuple[float, ...] = ()
+    if first_order is not None and first_order.any() and _free_ell(loop):
+        offset = tuple(-delta * first_order / np.linalg.norm(first_order))
+    return PerturbationSet(delta, (True,) * theta.numel(), offset=offset)
 
 
-def _any(ell: ca.SX) -> Callable[[np.random.Generator], Matrix]:
-    size = int(ell.numel())
-    return lambda generator: np.asarray(generator.normal(size=size))
+def _free_ell(loop: ClosedLoop) -> bool:
+    """Whether ell need not be the centre of theta(t): without damping it would fail there, and no
+    set of the adaptation law has to hold it."""
+    law = claim_of(loop.values, "theta_hat", loop.state("controller", "theta_hat").symbol.numel())
+    return not loop.values["damping"].item() and not law.restricts
+
+
+def _within(law: Claim) -> Sampler:
+    """Random ell: of any size, or in the set for which the law's claim holds."""
+
+    def sample(generator: np.random.Generator) -> Matrix:
+        size = law.center.size
+        if not law.restricts:
+            return np.asarray(10 ** generator.uniform(-1, 1) * generator.normal(size=size))
+        reach = np.minimum(law.half_width, law.bound)
+        return law.nearest(law.center + generator.uniform(-1, 1, size) * reach)
+
+    return sample
+
+
+def _with_inverse(law: Claim, rho_law: Claim, sign: float) -> Sampler:
+    """Random ell with b_m of the known sign (Assumption 3), it and 1/b_m in their laws' sets."""
+    reach = min(law.half_width[0], law.bound)
+    low, high = sorted((sign * (law.center[0] - reach), sign * (law.center[0] + reach)))
+    inverse = min(rho_law.half_width[0], rho_law.bound)
+    ends = sorted(sign * (rho_law.center[0] + side * inverse) for side in (-1, 1))
+    if ends[1] <= 0 or high <= 0:
+        low, high = 1.0, 0.0
+    else:  # of |b_m|
+        low = max(low, 1 / ends[1])
+        high = min(high, 1 / ends[0] if ends[0] > 0 else math.inf)
+    if low > high:
+        raise InvalidInput(
+            "no b_m has the sign sign_b_m, is in the set of theta_center and has 1/b_m in the set "
+            "of rho_center; give sets that hold [b, a] and 1/b_m"
+        )
+    # Without an end the sizes drawn are those about 1 and about the other end.
+    low, high = max(low, min(1.0, high) / 10), min(high, max(1.0, low) * 10)
+    others = _within(law)
+
+    def sample(generator: np.random.Generator) -> Matrix:
+        ell = others(generator)
+        ell[0] = sign * np.exp(generator.uniform(np.log(low), np.log(high)))
+        rest = ell[1:] - law.center[1:]
+        left = math.sqrt(max(law.bound**2 - (ell[0] - law.center[0]) ** 2, 0.0))
+        size = float(np.linalg.norm(rest))
+        if size > left:
+            ell[1:] = law.center[1:] + rest * (left / size)
+        return ell
+
+    return sample

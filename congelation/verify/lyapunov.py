@@ -1,7 +1,8 @@
 """The Lyapunov certificate of a run, along its recorded trajectory.
 
 The certificate holds the congealed parameters ell, any point that theta(t) keeps within delta of;
-here it is the centre of the box that theta(t) fills.
+here it is the centre of the box that theta(t) fills. Only Controller 2 of a plant of first order
+has its ell elsewhere, at the end of the interval that makes the perturbation stabilising.
 """
 
 from __future__ import annotations
@@ -82,7 +83,8 @@ def along(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> A
     rows = np.linspace(0, len(time) - 1, min(len(time), MOST_ROWS)).round().astype(int)
     picked = [columns.index(name) for name in found.state_names]
     states = values[rows][:, picked]
-    margins = certificate.along(states, center(found))
+    ell = certificate.perturbations.ell(center(found))
+    margins = certificate.along(states, ell)
     return Along(
         time[rows],
         np.array([margin.V for margin in margins]),

@@ -35,7 +35,16 @@ from congelation.signals import Segment as Piece
 from congelation.theory.closed_loop import ClosedLoop, Segment, close
 from congelation.theory.model import Model
 
-__all__ = ["LARGEST_DEVIATION", "Deviation", "Reference", "compare", "reference", "verify"]
+__all__ = [
+    "LARGEST_DEVIATION",
+    "Deviation",
+    "Reference",
+    "compare",
+    "reference",
+    "start_values_of",
+    "theta_of",
+    "verify",
+]
 
 Floats = npt.NDArray[np.float64]
 
@@ -130,7 +139,7 @@ def reference(case: Case) -> Reference:
     plant, controller = _loop_members(case.system)
     models = _models(plant, controller)
     _check_loop(case.system, plant, controller, models)
-    values = {component.name: _values(component) for component in (plant, controller)}
+    values = {component.name: start_values_of(component) for component in (plant, controller)}
     loop = close(*models, _parameters(models[1], values[controller.name]))
     states = {
         state.variables.name: [
@@ -139,7 +148,7 @@ def reference(case: Case) -> Reference:
         for c, model in zip((plant, controller), models, strict=True)
         for state in model.states
     }
-    profiles, offsets = _theta(values[plant.name])
+    profiles, offsets = theta_of(values[plant.name])
     segments = _segments(case, profiles, offsets)
     return Reference(
         plant.name,
@@ -251,8 +260,8 @@ def _models(plant: Component, controller: Component) -> tuple[Model, Model]:
     return models_of(specs[0]["form"], specs[0]["structure"])
 
 
-def _values(component: Component) -> dict[str, Scalar]:
-    """The value of every variable that starts with one: given, or else the FMU's own."""
+def start_values_of(component: Component) -> dict[str, Scalar]:
+    """The value of every variable of an FMU that starts with one: given, or else its own."""
     description = fmpy.read_model_description(str(component.fmu), validate=False)
     own = {
         v.name: _typed(v.type, v.start) for v in description.modelVariables if v.start is not None
@@ -307,7 +316,7 @@ def _segments(
     return tuple(segments)
 
 
-def _theta(values: Mapping[str, Scalar]) -> tuple[list[Profile], list[float]]:
+def theta_of(values: Mapping[str, Scalar]) -> tuple[list[Profile], list[float]]:
     """The profile of each component of theta, and the constant that is added to it."""
     profiles: list[Profile] = []
     offsets: list[float] = []

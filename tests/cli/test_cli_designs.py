@@ -47,16 +47,75 @@ def test_certify_passes_a_certified_design(congelation):
 
 
 def test_certify_names_the_state_of_a_violation(congelation):
-    done = congelation("certify", "scenarios/scalar.toml", "--samples", "50")
+    done = congelation("certify", "scenarios/fig2.toml", "--samples", "50")
     assert done.returncode == 3
     (line,) = done.stderr.splitlines()
-    assert line.startswith("congelation: Controller 2: V' + promised rate = ")
-    assert "plant.x = " in line
+    sentence = (
+        "congelation: Controller 2: V' exceeds what the design promises: V' + promised rate = "
+    )
+    assert line.startswith(sentence)
+    assert "plant.x[1] = " in line
+
+
+def changed(folder: Path, spec: str, old: str, new: str) -> str:
+    """A copy of a shipped spec with one change."""
+    text = (ROOT / "specs" / f"{spec}.toml").read_text("utf-8")
+    assert old in text
+    file = folder / f"{spec}.toml"
+    file.write_text(text.replace(old, new))
+    return str(file)
+
+
+def test_certify_refuses_a_broken_assumption(congelation, tmp_path):
+    done = congelation("certify", changed(tmp_path, "scalar", "delta = 1}", "delta = 0.5}"))
+    assert done.returncode == 3
+    assert done.stderr == (
+        "congelation: Scalar example: an assumption of the theorem is broken: "
+        "controller.start.delta: 0.5 is less than 1, the radius of the box that theta(t) fills; "
+        "give delta = 1, or narrow the profile\n"
+    )
+    assert "assumption" in done.stdout
+
+
+def test_certify_names_an_unstable_zero(congelation, tmp_path):
+    """b_0 is the second element of theta where n = 2, m = 1."""
+    text = (ROOT / "specs" / "relative_degree_1.toml").read_text("utf-8")
+    (line,) = (line for line in text.splitlines() if line.startswith('"theta[2]"'))
+    file = changed(tmp_path, "relative_degree_1", line, '"theta[2]" = [{constant = -1.5}]')
+    done = congelation("certify", file)
+    assert done.returncode == 3
+    (complaint,) = done.stderr.splitlines()
+    assert "is not Hurwitz (Assumption 2): the plant has a zero at s = " in complaint
+
+
+def test_certify_says_where_precision_ends(congelation, tmp_path):
+    done = congelation("certify", changed(tmp_path, "scalar", "epsilon = 1,", "epsilon = 1e-12,"))
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert "double precision does not suffice" in line
+    assert "epsilon = 1e-12" in line
+
+
+def test_certify_has_no_certificate_for_frozen_estimates(congelation, tmp_path):
+    done = congelation("certify", changed(tmp_path, "scalar", "gamma = 1,", "adapt = false,"))
+    assert done.returncode == 1
+    (line,) = done.stderr.splitlines()
+    assert "no certificate is claimed for this adaptation law: frozen estimates" in line
+    assert "no certificate" in done.stdout
+
+
+def test_certify_warns_of_what_is_left_out(congelation, tmp_path):
+    done = congelation("certify", changed(tmp_path, "scalar", ", delta = 1}", "}"))
+    assert done.returncode == 0
+    assert done.stderr == (
+        "congelation: Scalar example: warning: controller.start.delta: it is left out, and so 1, "
+        "which covers 1, the radius of the box that theta(t) fills; give delta = 1, or more\n"
+    )
 
 
 def test_certify_of_extreme_numbers_is_one_line(congelation, tmp_path):
     """Refused as a spec; as a scenario, which does not start there, nowhere finite."""
-    for name, old, code in (("specs", "epsilon = 1,", 2), ("scenarios", "epsilon = 0.3", 2)):
+    for name, old, code in (("specs", "epsilon = 1,", 2), ("scenarios", "epsilon = 0.3", 1)):
         text = (ROOT / name / "scalar.toml").read_text("utf-8")
         assert old in text
         text = text.replace(old, old.split("=")[0] + "= 1e-300" + ("," if "," in old else ""))
@@ -66,7 +125,7 @@ def test_certify_of_extreme_numbers_is_one_line(congelation, tmp_path):
         file.write_text(text)
         done = congelation("certify", str(file), "--samples", "20")
         assert done.returncode == code
-        (line,) = done.stderr.splitlines()
+        line = done.stderr.splitlines()[0]
         assert "epsilon = 1e-300" in line
 
 
@@ -108,6 +167,17 @@ def test_build_lists_what_it_wrote(congelation, tmp_path):
         assert (tmp_path / name).read_bytes() == (ROOT / "fmus" / name).read_bytes()
 
 
+def test_build_warns_of_a_broken_assumption(congelation, tmp_path):
+    spec = changed(tmp_path, "scalar", "delta = 1}", "delta = 0.5}")
+    done = congelation("build", spec, "--out", tmp_path / "fmus")
+    assert done.returncode == 0
+    assert len(done.stdout.splitlines()) == 2
+    assert done.stderr == (
+        "congelation: warning: spec 'scalar': controller.start.delta: 0.5 is less than 1, the "
+        "radius of the box that theta(t) fills; give delta = 1, or narrow the profile\n"
+    )
+
+
 def test_build_of_a_bad_spec_is_one_line(congelation, tmp_path):
     (tmp_path / "bad.toml").write_text('form = "scaler"\n')
     done = congelation("build", tmp_path / "bad.toml", "--out", tmp_path)
@@ -144,9 +214,9 @@ def test_info_of_a_pair(congelation):
 
 
 def test_certify_as_json(congelation):
-    done = congelation("certify", "scenarios/scalar.toml", "--samples", "50", "--json")
-    found = {design["design"]: design["holds"] for design in json.loads(done.stdout)}
-    assert found == {"Controller 1": True, "Controller 2": False}
+    done = congelation("certify", "scenarios/fig2.toml", "--samples", "50", "--json")
+    found = {design["design"]: design["verdict"] for design in json.loads(done.stdout)}
+    assert found == {"Controller 1": "HOLDS", "Controller 2": "VIOLATED"}
     assert done.returncode == 3
 
 

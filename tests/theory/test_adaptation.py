@@ -1,5 +1,6 @@
 """The rival laws: neutral when off, consistent inside the recursion, and what each promises."""
 
+import dataclasses
 import math
 
 import casadi as ca
@@ -8,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from congelation.theory.adaptation import robust
+from congelation.theory.adaptation import claim_of, robust
 from congelation.theory.closed_loop import Segment, close
 from congelation.theory.lyapunov import output_feedback_certificate, state_feedback_certificate
 from congelation.theory.matching import matched_controller
@@ -363,3 +364,91 @@ def test_dead_zone_holds_the_estimates_after_settling():
     first = int(np.argmax([inside[k:].all() for k in range(len(inside))]))
     assert inside[first]
     assert estimates[first:] == pytest.approx(np.tile(estimates[first], (len(z) - first, 1)))
+
+
+CLAIMS = {
+    "leakage": {"sigma": 0.5},
+    "switching": {"sigma": 0.5, "switching": 1.0, "theta_bound": 2.0, "rho_bound": 3.0},
+    "ball": {"projection_ball": 1.0, "theta_bound": 2.0, "rho_bound": 3.0},
+    "box": {"projection_box": 1.0, "theta_half_width": 1.5, "rho_half_width": 3.0},
+    "box and leakage": {
+        "projection_box": 1.0,
+        "theta_half_width": 1.5,
+        "rho_half_width": 3.0,
+        "sigma": 0.2,
+    },
+}
+
+
+def robust_certificate(form, law):
+    """The certificate of a design of the given orders under a law."""
+    feedback, *orders = form
+    if feedback == "state":
+        phibar = random_phibar(np.random.default_rng(1), *orders)
+        plant, p = strict_feedback_plant(phibar), orders[1]
+        controller = state_feedback_controller(phibar, robust)
+        of = state_feedback_certificate
+    else:
+        n, m = orders
+        plant, p = observer_form_plant(n, m), m + 1 + n
+        controller = output_feedback_controller(n, m, robust)
+        of = output_feedback_certificate
+    given = {
+        name: np.full(p, value) if name == "theta_half_width" else value
+        for name, value in law.items()
+        if feedback == "output" or not name.startswith("rho_")
+    }
+    return of(close(plant, controller, given))
+
+
+FORMS = [("state", 2, 2), ("state", 3, 2), ("output", 2, 0), ("output", 2, 1), ("output", 3, 1)]
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("law", CLAIMS)
+def test_each_law_keeps_its_claim(form, law):
+    certificate = robust_certificate(form, CLAIMS[law])
+    assert not certificate.search(samples=300, ascents=5).violated
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_leakage_without_its_residue_is_violated(form):
+    certificate = robust_certificate(form, CLAIMS["leakage"])
+    assert dataclasses.replace(certificate, residue=ca.SX(0)).search(samples=300).violated
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("law", ["switching", "ball", "box"])
+def test_the_claim_is_one_for_ell_in_the_set_alone(form, law):
+    certificate = robust_certificate(form, CLAIMS[law])
+
+    def far(generator):
+        ell = 20 * generator.normal(size=certificate.ell.numel())
+        ell[0] = abs(ell[0]) + 1  # Assumption 3
+        return ell
+
+    assert dataclasses.replace(certificate, sample_ell=far).search(samples=300).violated
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize("law", [{"dead_zone": 0.1}, {"adapt": 0.0}])
+def test_dead_zone_and_frozen_estimates_have_no_certificate(form, law):
+    certificate = robust_certificate(form, law)
+    assert certificate.search(samples=300, ascents=5).violated
+    claim = claim_of(certificate.loop.values, "theta_hat", certificate.ell.numel())
+    assert "(ell - theta_hat)^T" in claim.leaves_open
+
+
+@given(seed=seeds, p=st.integers(1, 4))
+@settings(max_examples=30)
+def test_a_claim_draws_ell_in_its_set(seed, p):
+    """`nearest` leaves a point of the set alone, and takes any other into it."""
+    rng = np.random.default_rng(seed)
+    values = {"projection_ball": 1.0, "projection_box": 1.0, "theta_bound": rng.uniform(0.5, 2)}
+    values |= {"theta_half_width": rng.uniform(0.5, 2, p), "theta_center": rng.normal(size=p)}
+    claim = claim_of(values, "theta_hat", p)
+    inside = claim.nearest(claim.center + 5 * rng.normal(size=p))
+    offset = inside - claim.center
+    assert np.linalg.norm(offset) <= values["theta_bound"] * (1 + 1e-12)
+    assert (np.abs(offset) <= values["theta_half_width"] * (1 + 1e-12)).all()
+    assert claim.nearest(inside) == pytest.approx(inside)

@@ -1,0 +1,292 @@
+"""The assumptions of the theorems, checked on what is known of theta(t) and of the parameters.
+
+Assumption 1: theta(t) stays in a ball of known radius delta. Assumption 2 (output feedback): so
+does a(t), b is constant, and b_m s^m + .. + b_0 is Hurwitz. Assumption 3: the sign of b_m is known.
+A law with a set keeps the certificate for ell (and 1/b_m) in that set.
+
+The Lyapunov inequality shows Assumption 1 alone: V' <= -sum c_i z_i^2 holds for a plant with
+unstable zeros too, whose state leaves every bound while z tends to 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from congelation.theory.adaptation import Claim, claim_of
+
+__all__ = ["BALL_ROUNDING", "KnownTheta", "Remark", "remarks_on"]
+
+Vector = NDArray[np.float64]
+
+BALL_ROUNDING = 1e-4
+"""Relative excess of a radius over delta that counts as rounding of the written delta."""
+
+ZERO_ROUNDING = 1e-9
+"""A zero whose real part is above minus this fraction of its size is not in the left half-plane:
+the roots of a polynomial are found to about this accuracy."""
+
+CONSTANT_ROUNDING = 1e-12
+"""Relative radius up to which an element is constant: sums of terms are rounded."""
+
+
+@dataclass(frozen=True)
+class Remark:
+    """Something about a design that the theorem does not allow, or that nobody can know.
+
+    Attributes
+    ----------
+    where : str
+        The key or variable.
+    what, remedy : str
+    broken : bool
+        Whether an assumption is known to fail; else the remark is a warning.
+    """
+
+    where: str
+    what: str
+    remedy: str
+    broken: bool
+
+    def __str__(self) -> str:
+        return f"{self.where}: {self.what}; {self.remedy}"
+
+
+@dataclass(frozen=True)
+class KnownTheta:
+    """What is known of theta(t), element by element.
+
+    Attributes
+    ----------
+    low, high : tuple of float
+        Bounds over all time.
+    absent : frozenset of int
+        Elements (from 0) that have no profile; their bounds are 0.
+    unsure : mapping of int to str
+        Elements that the bounds may not be those of, and why: ``it is read from a table``.
+    """
+
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    absent: frozenset[int] = frozenset()
+    unsure: Mapping[int, str] = field(default_factory=dict)
+
+    @property
+    def center(self) -> Vector:
+        """The centre of the box."""
+        return np.array(self.low) / 2 + np.array(self.high) / 2
+
+    @property
+    def radii(self) -> Vector:
+        """Half the sides of the box."""
+        return np.array(self.high) / 2 - np.array(self.low) / 2
+
+
+def remarks_on(
+    values: Mapping[str, ArrayLike],
+    theta: KnownTheta,
+    degree: int | None,
+    place: Callable[[str], str],
+    stated: Collection[str] | None = None,
+) -> tuple[Remark, ...]:
+    """Everything that the theorem of a design does not allow, and what cannot be known.
+
+    Parameters
+    ----------
+    values : mapping
+        The controller's parameters by name.
+    theta : KnownTheta
+    degree : int or None
+        m of the plant (27), whose theta is [b_m .. b_0, a_{n-1} .. a_0]; None: there is no b.
+    place : callable
+        From ``delta`` or ``theta[2]`` to where the user writes it.
+    stated : collection of str, optional
+        Names of the parameters that the user gave; None: not known.
+
+    Returns
+    -------
+    tuple of Remark
+        Broken assumptions first.
+    """
+    first = 0 if degree is None else degree + 1
+    found = [
+        *_without_profile(theta, place),
+        *_not_known(theta, place),
+        *_radius(values, "delta", _norm(theta.radii[first:]), "theta(t)", place, stated),
+        *_sets(values, theta, first, place),
+    ]
+    if degree is not None:
+        a_1 = float(theta.radii[first])
+        of = f"a_(n-1)(t) = theta[{first + 1}]"
+        found += [*_radius(values, "delta_1", a_1, of, place, stated)]
+        found += [*_numerator(values, theta, first, place)]
+    return tuple(sorted(found, key=lambda remark: not remark.broken))
+
+
+def _without_profile(theta: KnownTheta, place: Callable[[str], str]) -> Iterator[Remark]:
+    names = [f"theta[{j + 1}]" for j in sorted(theta.absent)]
+    if not names:
+        return
+    what = "it has no profile, and is 0 throughout"
+    if len(names) > 1:
+        what = f"it and {', '.join(names[1:])} have no profile, and are 0 throughout"
+    yield Remark(
+        place(names[0]),
+        what,
+        "give one, such as [{constant = 1.0}], or [{constant = 0.0}] where 0 is meant",
+        broken=False,
+    )
+
+
+def _not_known(theta: KnownTheta, place: Callable[[str], str]) -> Iterator[Remark]:
+    """One warning for all elements whose values cannot be known here."""
+    if not theta.unsure:
+        return
+    first = min(theta.unsure)
+    reasons = ", ".join(f"theta[{j + 1}] {why}" for j, why in sorted(theta.unsure.items()))
+    yield Remark(
+        place(f"theta[{first + 1}]"),
+        f"that theta(t) keeps to the assumptions cannot be known for sure: {reasons}",
+        "keep it within delta of the centre, and b constant and Hurwitz where there is one",
+        broken=False,
+    )
+
+
+def _radius(
+    values: Mapping[str, ArrayLike],
+    name: str,
+    radius: float,
+    of: str,
+    place: Callable[[str], str],
+    stated: Collection[str] | None,
+) -> Iterator[Remark]:
+    """Assumption 1, or 2: delta against the radius of what varies."""
+    given = float(np.asarray(values[name], float).item())
+    outside = not radius <= given * (1.0 + BALL_ROUNDING)
+    left_out = stated is not None and name not in stated
+    if not outside and not left_out:
+        return
+    given_as = f"it is left out, and so {given:.6g}, which" if left_out else f"{given:.6g}"
+    compared = "is less than" if outside else "covers"
+    side = "box" if name == "delta" else "interval"
+    remedy = f"give {name} = {radius:.6g}"
+    yield Remark(
+        place(name),
+        f"{given_as} {compared} {radius:.6g}, the radius of the {side} that {of} fills",
+        f"{remedy}, or narrow the profile" if outside else f"{remedy}, or more",
+        broken=outside,
+    )
+
+
+def _numerator(
+    values: Mapping[str, ArrayLike], theta: KnownTheta, first: int, place: Callable[[str], str]
+) -> Iterator[Remark]:
+    """Assumptions 2 and 3: b constant, b_m s^m + .. + b_0 Hurwitz, its sign as stated."""
+    b, m = theta.center[:first], first - 1
+    known = [j for j in range(first) if j not in theta.unsure]
+    varying = [j for j in known if theta.radii[j] > CONSTANT_ROUNDING * abs(b[j])]
+    for j in varying:
+        yield Remark(
+            place(f"theta[{j + 1}]"),
+            f"b_{m - j} varies between {theta.low[j]:.6g} and {theta.high[j]:.6g}, and output "
+            "feedback is proved for constant b (Assumption 2)",
+            f"make it constant, such as [{{constant = {b[j]:.6g}}}]",
+            broken=True,
+        )
+    if len(theta.absent) == len(theta.low):  # nothing is known of b
+        return
+    sign = float(np.asarray(values["sign_b_m"], float).item())
+    ends = sign * theta.low[0], sign * theta.high[0]
+    if 0 in known and min(ends) <= 0:
+        opposite = max(ends) < 0
+        if opposite:
+            actual = "negative" if sign > 0 else "positive"
+            what = f"it is {sign:+.0f}, while b_{m} = theta[1] is {actual}, {b[0]:.6g}"
+            remedy = f"give sign_b_m = {-sign:.0f}"
+        else:
+            what = f"b_{m} is 0 or passes through 0, and has no sign"
+            remedy = f"give a b_{m} that is not 0, or a form of smaller m"
+        where = place("sign_b_m" if opposite else "theta[1]")
+        yield Remark(where, f"{what} (Assumption 3)", remedy, broken=True)
+    zeros = np.roots(b) if len(known) == first and b.any() else np.zeros(0)
+    unstable = [s for s in zeros if s.real >= -ZERO_ROUNDING * abs(s)]
+    if unstable:
+        listed = ", ".join(_complex(s) for s in unstable if s.imag >= 0)
+        yield Remark(
+            place(f"theta[{first}]"),
+            f"{_polynomial(b)} is not Hurwitz (Assumption 2): the plant has a zero at "
+            f"s = {listed}, so that u and x grow without bound while y tends to 0",
+            "give b with all zeros in the open left half-plane, or use state feedback",
+            broken=True,
+        )
+
+
+def _sets(
+    values: Mapping[str, ArrayLike], theta: KnownTheta, first: int, place: Callable[[str], str]
+) -> Iterator[Remark]:
+    """The sets of projection and switching leakage have to hold ell, and 1/b_m."""
+    if len(theta.absent) == len(theta.low):
+        return
+    law = claim_of(values, "theta_hat", len(theta.low))
+    if not law.leaves_open and law.restricts:
+        center = theta.center
+        ell = law.nearest(center)
+        delta = float(np.asarray(values["delta"], float).item())
+        off = np.abs(center - ell)
+        reach = _norm((off + theta.radii)[first:])
+        missed = reach > delta * (1 + BALL_ROUNDING) or _norm(off[:first]) > BALL_ROUNDING
+        if missed:
+            yield _outside(law, center, "the centre of theta(t)", place)
+    if not first:
+        return
+    rho_law = claim_of(values, "rho_hat", 1)
+    if theta.center[0] != 0 and rho_law.restricts and not rho_law.leaves_open:
+        inverse = np.array([1 / theta.center[0]])
+        if _norm(rho_law.nearest(inverse) - inverse) > BALL_ROUNDING * _norm(inverse):
+            yield _outside(rho_law, inverse, f"1/b_{first - 1}", place)
+
+
+def _outside(law: Claim, value: Vector, of: str, place: Callable[[str], str]) -> Remark:
+    base = law.estimate.removesuffix("_hat")
+    needed = np.abs(value - law.center)
+    changes = []
+    if _norm(needed) > law.bound:
+        changes.append(f"{base}_bound = {_norm(needed):.6g} or more")
+    if (needed > law.half_width).any():
+        widths = np.maximum(needed, np.where(np.isfinite(law.half_width), law.half_width, needed))
+        listed = ", ".join(f"{w:.6g}" for w in widths)
+        changes.append(f"{base}_half_width = [{listed}] or more")
+    listed = ", ".join(f"{v:.6g}" for v in value)
+    return Remark(
+        place(f"{base}_center"),
+        f"the set of the adaptation law does not hold {of}, ({listed}), and the certificate is one "
+        "for constants in the set",
+        f"give {' and '.join(changes)}, or {base}_center = [{listed}]",
+        broken=True,
+    )
+
+
+def _norm(v: Vector) -> float:
+    return float(np.linalg.norm(v))
+
+
+def _complex(s: complex) -> str:
+    if abs(s.imag) <= ZERO_ROUNDING * abs(s):
+        return f"{s.real + 0.0:.6g}"
+    real = 0.0 if abs(s.real) <= ZERO_ROUNDING * abs(s) else s.real
+    return f"{real:.6g} +- {abs(s.imag):.6g}i"
+
+
+def _polynomial(b: Vector) -> str:
+    """0.5 s - 1."""
+    text = ""
+    for power, value in zip(range(len(b) - 1, -1, -1), b, strict=True):
+        if value == 0 and len(b) > 1:
+            continue
+        factor = "" if power == 0 else " s" if power == 1 else f" s^{power}"
+        lead = ("-" if value < 0 else "") if not text else " - " if value < 0 else " + "
+        text += f"{lead}{abs(value):.6g}{factor}"
+    return text

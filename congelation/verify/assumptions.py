@@ -1,0 +1,100 @@
+"""What the theorem does not allow of the loops in a scenario's system."""
+
+from __future__ import annotations
+
+import json
+import re
+import zipfile
+from collections.abc import Mapping
+from typing import Any, cast
+
+from congelation.cosim.system import Component
+from congelation.export.assumptions import degree_of, known_theta
+from congelation.scenario.scenario import Case
+from congelation.theory.assumptions import Remark, remarks_on
+from congelation.verify.reference import start_values_of, theta_of
+
+__all__ = ["case_assumptions", "case_warnings", "loops_of"]
+
+_ELEMENT = re.compile(r"(?P<name>\w+)(\[[\d,]+\])?")
+
+
+def case_assumptions(case: Case) -> tuple[Remark, ...]:
+    """The assumptions that the loops of a case break, and what cannot be known of them.
+
+    A loop is a plant and a controller of one structure, both from build_fmu.py, of which the
+    controller drives the plant. What is no such loop has no theorem, and no remarks.
+    """
+    driven = {c.target for c in case.system.connections}
+    remarks = [remark for loop in loops_of(case) for remark in _of_loop(*loop, driven)]
+    return tuple(sorted(remarks, key=lambda remark: not remark.broken))
+
+
+def loops_of(case: Case) -> list[tuple[Component, Component]]:
+    """Each plant with each controller of its structure that drives it, both from build_fmu.py."""
+    about = {c.name: _about(c) for c in case.system.components}
+    drives = {(c.source.split(".")[0], c.target) for c in case.system.connections}
+    return [
+        (plant, controller)
+        for plant in case.system.components
+        for controller in case.system.components
+        if about[plant.name].get("role") == "plant"
+        and about[controller.name].get("role") == "controller"
+        and all(about[plant.name][k] == about[controller.name][k] for k in ("form", "structure"))
+        and (controller.name, f"{plant.name}.u") in drives
+    ]
+
+
+def case_warnings(case: Case) -> tuple[str, ...]:
+    """One line for each remark on a case: where, what, and what would do."""
+    return tuple(str(remark) for remark in case_assumptions(case))
+
+
+def _of_loop(plant: Component, controller: Component, driven: set[str]) -> tuple[Remark, ...]:
+    profiles, offsets = theta_of(start_values_of(plant))
+    inputs = {
+        j
+        for j in range(len(profiles))
+        if {f"{plant.name}.dtheta", f"{plant.name}.dtheta[{j + 1}]"} & driven
+    }
+    # A profile that is 0, and that the scenario does not state, is one that nobody stated.
+    absent = [
+        j
+        for j, profile in enumerate(profiles)
+        if profile.bounds() == (0.0, 0.0)
+        and not any(name.startswith(f"profile[{j + 1}].") for name in plant.start)
+        and f"dtheta[{j + 1}]" not in plant.start
+    ]
+
+    about = _about(plant)
+
+    def place(name: str) -> str:
+        if name.startswith("theta["):
+            return f'{plant.name}.profile."{name}"'
+        return f"{controller.name}.{name}"
+
+    return remarks_on(
+        _parameters(start_values_of(controller)),
+        known_theta(profiles, offsets, absent, inputs),
+        degree_of(about["form"], about["structure"]),
+        place,
+    )
+
+
+def _about(component: Component) -> dict[str, Any]:
+    """The spec that the component's FMU was built from; empty if it has none."""
+    with zipfile.ZipFile(component.fmu) as archive:
+        if "resources/spec.json" not in archive.namelist():
+            return {}
+        about: dict[str, Any] = json.loads(archive.read("resources/spec.json"))
+    return about if {"role", "form", "structure"} <= about.keys() else {}
+
+
+def _parameters(values: Mapping[str, object]) -> dict[str, list[float]]:
+    """Vectors from their elements ``c[1]``, ``c[2]``, .. in the order of the FMU."""
+    grouped: dict[str, list[float]] = {}
+    for name, value in values.items():
+        match = _ELEMENT.fullmatch(name)
+        if match is not None and not isinstance(value, str):
+            grouped.setdefault(match["name"], []).append(float(cast(float, value)))
+    return grouped

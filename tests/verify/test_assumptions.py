@@ -1,0 +1,166 @@
+"""The assumptions of the loops in a scenario, as `run` warns of them and `certify` refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from build_fmu import main
+from congelation.scenario.load import load_scenario
+from congelation.verify.assumptions import case_assumptions, case_warnings
+from congelation.verify.certify import Verdict, certify, designs_of
+from tests.scenarios import FMUS, SCALAR, write
+
+OBSERVER = f"""
+title = "Output feedback"
+connections = ["plant.y -> controller.y", "controller.u -> plant.u"]
+
+[components.plant]
+fmu = "{FMUS}/ObserverFormPlant.fmu"
+
+[components.plant.profile]
+"theta[1]" = [{{constant = 2.0}}]
+"theta[2]" = [{{constant = -3.0}}, {{sine = {{amplitude = 0.6, omega = 0.4}}}}]
+"theta[3]" = [{{constant = 2.0}}, {{sine = {{amplitude = 0.8, omega = 0.25}}}}]
+
+[components.controller]
+fmu = "{FMUS}/OutputFeedbackController.fmu"
+start = {{delta = 1.0, delta_1 = 0.6}}
+
+[experiment]
+stop_time = 1.0
+step = 0.01
+record = ["plant.y"]
+"""
+SPEC = """
+form = "scalar"
+[plant]
+name = "PLANT"
+[controller]
+name = "CONTROLLER"
+start = {delta = 1}
+"""
+DRIVEN = (
+    (
+        "connections = [",
+        'connections = ["driver.u -> plant.dtheta[1]", "plant.x -> driver.x", ',
+    ),
+    (
+        "[experiment]",
+        f'[components.driver]\nfmu = "{FMUS}/ScalarController.fmu"\n[experiment]',
+    ),
+    ("epsilon = 0.3", "epsilon = 0.3, delta = 0.4"),
+)
+"""Another controller, whose output is added to theta(t)."""
+
+
+def warnings(folder: Path, text: str, *changes: tuple[str, str]) -> tuple[str, ...]:
+    scenario = load_scenario(write(folder, text, *changes))
+    return case_warnings(scenario.case(scenario.variants[0].settings))
+
+
+def test_what_stands_gives_no_line(tmp_path):
+    assert warnings(tmp_path, OBSERVER) == ()
+    assert warnings(tmp_path, SCALAR) == ()
+
+
+BROKEN = {
+    "delta": (
+        ("delta = 1.0", "delta = 0.5"),
+        "controller.delta: 0.5 is less than 1, the radius of the box that theta(t) fills; "
+        "give delta = 1, or narrow the profile",
+    ),
+    "delta_1": (
+        ("delta_1 = 0.6", "delta_1 = 0.5"),
+        "controller.delta_1: 0.5 is less than 0.6, the radius of the interval that "
+        "a_(n-1)(t) = theta[2] fills; give delta_1 = 0.6, or narrow the profile",
+    ),
+    "sign": (
+        ("delta = 1.0", "delta = 1.0, sign_b_m = -1.0"),
+        "controller.sign_b_m: it is -1, while b_0 = theta[1] is positive, 2 (Assumption 3); "
+        "give sign_b_m = 1",
+    ),
+    "sign of a constant dtheta": (
+        (
+            "[components.plant.profile]",
+            "start = {dtheta = [-5.0, 0, 0]}\n[components.plant.profile]",
+        ),
+        "controller.sign_b_m: it is +1, while b_0 = theta[1] is negative, -3 (Assumption 3); "
+        "give sign_b_m = -1",
+    ),
+    "b varies": (
+        ("{constant = 2.0}]", "{constant = 2.0}, {sine = {amplitude = 0.5, omega = 1.0}}]"),
+        'plant.profile."theta[1]": b_0 varies between 1.5 and 2.5, and output feedback is proved '
+        "for constant b (Assumption 2); make it constant, such as [{constant = 2}]",
+    ),
+    "set": (
+        ("delta = 1.0", "delta = 1.0, projection_ball = true, theta_bound = 4.0, rho_bound = 0.1"),
+        "controller.rho_center: the set of the adaptation law does not hold 1/b_0, (0.5), and the "
+        "certificate is one for constants in the set; give rho_bound = 0.5 or more, or "
+        "rho_center = [0.5]",
+    ),
+}
+
+
+@pytest.mark.parametrize(("change", "line"), BROKEN.values(), ids=BROKEN)
+def test_a_broken_assumption_is_one_line_and_refused(tmp_path, change, line):
+    if change[0] == "{constant = 2.0}]":  # theta[1] alone
+        change = (f'"theta[1]" = [{change[0]}', f'"theta[1]" = [{change[1]}')
+    assert line in warnings(tmp_path, OBSERVER, change)
+    (design,) = designs_of(tmp_path / "loop.toml")
+    found = certify(design, samples=10)
+    assert found.verdict is Verdict.ASSUMPTION_BROKEN
+    assert line in found.reasons
+
+
+def test_theta_that_another_component_drives_cannot_be_known(tmp_path):
+    (line,) = warnings(tmp_path, SCALAR, *DRIVEN)
+    assert line == (
+        'plant.profile."theta[1]": that theta(t) keeps to the assumptions cannot be known for '
+        "sure: theta[1] has an input, dtheta, that another component drives; keep it within delta "
+        "of the centre, and b constant and Hurwitz where there is one"
+    )
+    for design in designs_of(tmp_path / "loop.toml"):
+        found = certify(design, samples=50)
+        assert found.verdict is Verdict.HOLDS
+        assert found.warnings == (line,)
+
+
+def test_theta_without_a_profile_is_named(tmp_path):
+    """Neither the spec of the FMU nor the scenario gives it one."""
+    text = SPEC.replace("PLANT", "BarePlant").replace("CONTROLLER", "BareController")
+    (tmp_path / "bare.toml").write_text(text)
+    assert main(["--spec", str(tmp_path / "bare.toml"), "--out", str(tmp_path)]) == 0
+    changes = (
+        (f"{FMUS}/ScalarPlant", f"{tmp_path}/BarePlant"),
+        (
+            f"{FMUS}/ScalarController",
+            f"{tmp_path}/BareController",
+        ),
+    )
+    assert warnings(tmp_path, SCALAR, *changes) == ()
+    profile = '"theta[1]" = [{constant = -3.0}, {square = {amplitude = 0.4, period = 0.3}}]'
+    (line,) = warnings(tmp_path, SCALAR, *changes, (profile, ""))
+    assert line.startswith('plant.profile."theta[1]": it has no profile, and is 0 throughout')
+
+
+def test_build_warns_of_what_it_builds(tmp_path, capsys):
+    """One line on stderr for each remark, and the FMUs all the same."""
+    text = SPEC.replace("PLANT", "WarnedPlant").replace("CONTROLLER", "WarnedController")
+    profile = '[plant.profile]\n"theta[1]" = [{sine = {amplitude = 3, omega = 1}}]\n[controller]'
+    (tmp_path / "warned.toml").write_text(text.replace("[controller]", profile))
+    assert main(["--spec", str(tmp_path / "warned.toml"), "--out", str(tmp_path)]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("build_fmu.py: warning: ")
+    assert line.endswith(
+        "warned.toml: controller.start.delta: 1 is less than 3, the radius of the box that "
+        "theta(t) fills; give delta = 3, or narrow the profile"
+    )
+    assert (tmp_path / "WarnedPlant.fmu").is_file()
+
+
+def test_what_is_no_loop_of_ours_has_no_remarks(tmp_path):
+    changes = (', "controller.u -> plant.u"', "")
+    scenario = load_scenario(write(tmp_path, SCALAR, changes))
+    assert case_assumptions(scenario.case({})) == ()
