@@ -2,17 +2,29 @@
 
 System, Component, Connection     what is coupled; loads no binary
 simulate                          the master
-COUPLINGS, make_coupling          how inputs move between communication points
+Experiment, perform               the same as one value, and its run
+Jacobi, GaussSeidel, Derivative,
+Hermite, Sampled                  how inputs move between communication points
+COUPLINGS, make_coupling          the same by name
 Result, Status, Statistics        what a run leaves behind
 Output, Memory, ParquetFile       which rows are kept, and where
 SlavePool                         instances kept from one run to the next
 """
 
-from congelation.cosim.coupling import COUPLINGS, Coupling, make_coupling
-from congelation.cosim.master import simulate
-from congelation.cosim.output import Output
+from congelation.cosim.coupling import (
+    COUPLINGS,
+    Coupling,
+    Derivative,
+    GaussSeidel,
+    Hermite,
+    Jacobi,
+    Sampled,
+    make_coupling,
+)
+from congelation.cosim.experiment import Experiment
+from congelation.cosim.master import perform, simulate
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.recorder import Memory, ParquetFile, Sink
+from congelation.cosim.recording import Memory, Output, ParquetFile, Sink
 from congelation.cosim.result import Result, Statistics, Status
 from congelation.cosim.system import Component, Connection, System
 
@@ -21,15 +33,22 @@ __all__ = [
     "Component",
     "Connection",
     "Coupling",
+    "Derivative",
+    "Experiment",
+    "GaussSeidel",
+    "Hermite",
+    "Jacobi",
     "Memory",
     "Output",
     "ParquetFile",
     "Result",
+    "Sampled",
     "Sink",
     "SlavePool",
     "Statistics",
     "Status",
     "System",
     "make_coupling",
+    "perform",
     "simulate",
 ]

@@ -1,42 +1,118 @@
-"""Loaded slaves, and the arrays through which they talk."""
+"""Loaded slaves, and the arrays through which they talk.
+
+Y    every Real value that is read, slave by slave, each slave's in one call
+C    the polynomials of all inputs that are driven, links sorted by target:
+     u(t + s) = C[0] + C[1] s + C[2] s^2 / 2 + C[3] s^3 / 6
+
+Both are buffers between the FMUs and the coupling, whose C functions hold their addresses; they
+are written by every trial of a step and are no state of the coupling.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.inputs import Inputs
-from congelation.cosim.outputs import NO_DERIVATIVE, Outputs
-from congelation.cosim.system import Recorded, ResolvedSystem
-from congelation.fmi.slave import Slave
+from congelation.cosim.result import RunEnded, Status
+from congelation.cosim.system import (
+    MAX_DERIVATIVE,
+    Link,
+    Recorded,
+    ResolvedSystem,
+    derivative_name,
+)
+from congelation.fmi.description import Description, Variable
+from congelation.fmi.slave import Slave, State
 
-__all__ = ["Ensemble"]
+__all__ = ["LARGEST_VALUE", "NO_DERIVATIVE", "Ensemble"]
 
 Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.intp]
+Call = Callable[[], None]
+
+LARGEST_VALUE = 1e100
+"""Beyond this a run counts as diverged: far above physics, far below overflow of a square."""
+
+NO_DERIVATIVE = -1
+"""Stands for the place of a derivative that the source does not provide."""
+
+EVENT = "next_event"
+"""Name of the output that announces the next jump."""
+
+
+@dataclass
+class _Part:
+    """What is read from one slave.
+
+    Parameters
+    ----------
+    plain : dict of str to Variable
+        Read by fmi2GetReal, the announcement of events last.
+    ranked : dict of str to Variable
+        Outputs whose derivative is read by fmi2GetRealOutputDerivatives.
+    """
+
+    plain: dict[str, Variable] = field(default_factory=dict)
+    ranked: dict[str, Variable] = field(default_factory=dict)
+
+    @property
+    def names(self) -> list[str]:
+        return [*self.plain, *(derivative_name(name, 1) for name in self.ranked)]
+
+    def add_derivative(self, description: Description, variable: Variable) -> None:
+        """Read the derivative of an output, if there is any way to."""
+        exact = description.variables.get(derivative_name(variable.name, 1))
+        if exact is not None and exact.causality == "output" and exact.type == "Real":
+            self.plain[exact.name] = exact
+        elif description.max_output_derivative_order > 0 and variable.causality == "output":
+            self.ranked[variable.name] = variable
 
 
 class Ensemble:
-    """The slaves of a system with their shared arrays.
+    """The slaves of a system with their buffers.
 
     Parameters
     ----------
     system : ResolvedSystem
     slaves : sequence of Slave
         In the order of the system's members, instantiated or reset.
-    recorded : sequence of Recorded, length M
-    derivatives, slopes, events : bool
-        What is read besides; see Outputs.
+    recorded : sequence of Recorded
+        Variables to read besides the sources of the links.
+    derivatives : bool
+        Whether the derivatives of the links' sources are read, and derivatives of inputs sent.
+    slopes : bool
+        Whether the derivatives of the recorded variables are read.
+    events : bool
+        Whether announcements of jumps are.
 
     Attributes
     ----------
-    outputs : Outputs
-    inputs : Inputs
-    latched : bool
-        Whether driven inputs keep the values in C between communication points, rather than
-        those of their sources.
+    Y : array, shape (number of values,)
+    C : array, shape (4, L)
+    links : tuple of Link, length L
+        Sorted by target.
+    source, source_derivative : integer arrays, shape (L,)
+        Places in Y of each link's output and of its derivative (or NO_DERIVATIVE).
+    order : integer array, shape (L,)
+        Highest derivative that the target takes.
+    nominal : array, shape (L,)
+    columns : list of slice, one per slave
+        The links that drive it.
+    read : list of callables, one per slave
+        Read its part of Y.
+    write : list of callables, one per slave
+        Send it its columns of C.
+    hold : list of callables, one per slave
+        Send it its columns of C[0] alone.
+    read_calls, write_calls : list of int, one per slave
+        fmi2 calls that `read` and `write` take.
+    stepping : bool
+        False until initialisation is over: only then may derivatives move by FMI functions.
+    calls : int
+        fmi2 calls made, those of the steps' regular pattern left out; see Stepper.
     """
 
     def __init__(
@@ -51,66 +127,198 @@ class Ensemble:
     ) -> None:
         self.system = system
         self.slaves = tuple(slaves)
-        self.outputs = Outputs(
-            system, slaves, recorded, derivatives=derivatives, slopes=slopes, events=events
+        self.stepping = False
+        self.calls = 0
+        self._states: list[tuple[Slave, State]] = []
+        self._plan_outputs(recorded, derivatives, slopes, events)
+        self._plan_inputs(derivatives)
+
+    # -- what is read -------------------------------------------------------------------------
+
+    def _plan_outputs(
+        self, recorded: Sequence[Recorded], derivatives: bool, slopes: bool, events: bool
+    ) -> None:
+        members, links = self.system.members, self.system.links
+        parts = [_Part() for _ in members]
+        driven = {(link.target, link.input.name) for link in links}
+        for link in links:
+            parts[link.source].plain[link.output.name] = link.output
+            if derivatives or slopes:
+                parts[link.source].add_derivative(members[link.source].description, link.output)
+        for item in recorded:
+            # A driven input is recorded as the value of its source.
+            if item.variable.type == "Real" and (item.member, item.variable.name) not in driven:
+                part = parts[item.member]
+                part.plain[item.variable.name] = item.variable
+                if slopes:
+                    part.add_derivative(members[item.member].description, item.variable)
+        for part, member in zip(parts, members, strict=True):
+            event = part.plain.pop(EVENT, None)
+            if event is None and events:
+                event = member.description.variables.get(EVENT)
+            if event is not None and event.causality == "output" and event.type == "Real":
+                part.plain[EVENT] = event
+        keys = [(m, name) for m, part in enumerate(parts) for name in part.names]
+        self._names = [f"{members[m].name}.{name}" for m, name in keys]
+        self._place = {key: place for place, key in enumerate(keys)}
+        self.Y: Floats = np.zeros(len(keys))
+        self.read_calls = [bool(part.plain) + bool(part.ranked) for part in parts]
+        self.read: list[Call] = []
+        self._checked: list[Floats] = []
+        self._events: list[int] = []
+        begin = 0
+        for part, slave in zip(parts, self.slaves, strict=True):
+            middle, end = begin + len(part.plain), begin + len(part.names)
+            calls = []
+            if part.plain:
+                references = [variable.reference for variable in part.plain.values()]
+                calls.append(slave.reader(references, self.Y[begin:middle]))
+            if part.ranked:
+                references = [variable.reference for variable in part.ranked.values()]
+                call = slave.derivative_reader(references, 1, self.Y[middle:end])
+                calls.append(self._when_stepping(call))
+            self.read.append(_chained(calls))
+            announces = EVENT in part.plain
+            if announces:
+                self._events.append(middle - 1)
+            # An announcement may be infinite, so the check of finite values stops before it.
+            self._checked.append(self.Y[begin : middle - announces])
+            begin = end
+
+    def place(self, member: int, name: str) -> int:
+        """Where a variable that is read stands in Y."""
+        return self._place[member, name]
+
+    def slope_place(self, member: int, name: str) -> int:
+        """Where the derivative of a variable stands in Y, or NO_DERIVATIVE."""
+        return self._place.get((member, derivative_name(name, 1)), NO_DERIVATIVE)
+
+    def read_all(self) -> None:
+        """Read every slave."""
+        for read in self.read:
+            read()
+
+    def check(self, time: float) -> None:
+        """End the run where a value read is not finite, or too large.
+
+        Raises
+        ------
+        RunEnded
+            NON_FINITE or DIVERGED; the message names the variable.
+        """
+        for part in self._checked:
+            # Also false for nan; one product instead of a search.
+            if not part.dot(part) < LARGEST_VALUE**2:
+                break
+        else:
+            return
+        for k, value in enumerate(self.Y.tolist()):
+            if k in self._events:
+                continue
+            where = f"{self._names[k]} at t = {time:.9g}"
+            if not math.isfinite(value):
+                raise RunEnded(Status.NON_FINITE, f"{where} is {value}")
+            if abs(value) > LARGEST_VALUE:
+                raise RunEnded(Status.DIVERGED, f"{where} is {value:.3g}, past {LARGEST_VALUE:g}")
+
+    def next_event(self, time: float) -> float:
+        """The first jump announced after `time`; infinity where there is none."""
+        announced = (float(self.Y[k]) for k in self._events)
+        return min((event for event in announced if event > time), default=math.inf)
+
+    # -- what is sent -------------------------------------------------------------------------
+
+    def _plan_inputs(self, derivatives: bool) -> None:
+        self.links = tuple(sorted(self.system.links, key=lambda link: link.target))
+        self.C: Floats = np.zeros((1 + MAX_DERIVATIVE, len(self.links)))
+        sources = [(link.source, link.output.name) for link in self.links]
+        self.source = np.array([self.place(*source) for source in sources], np.intp)
+        self.source_derivative = np.array(
+            [self.slope_place(*source) if derivatives else NO_DERIVATIVE for source in sources],
+            np.intp,
         )
-        self.inputs = Inputs(system, slaves, self.outputs, derivatives=derivatives)
-        self.latched = False
-        self.width = len(recorded)
-        self._plan_recording(recorded)
+        self.order = np.array([self._order(link) for link in self.links], np.intp)
+        self.nominal = np.array([link.output.nominal for link in self.links])
+        self.columns: list[slice] = []
+        self.hold: list[Call] = []
+        self.write: list[Call] = []
+        self.write_calls: list[int] = []
+        begin = 0
+        for m, slave in enumerate(self.slaves):
+            links = [link for link in self.links if link.target == m]
+            columns = slice(begin, begin + len(links))
+            references = [link.input.reference for link in links]
+            # Sorted by target, so that a slave's part of C[0] can be sent from where it stands.
+            hold = [slave.writer(references, self.C[0, columns])] if links else []
+            self.columns.append(columns)
+            self.hold.append(_chained(hold))
+            self.write.append(self._writer(slave, columns))
+            self.write_calls.append(bool(links) + any(self._interpolates(link) for link in links))
+            begin = columns.stop
 
-    def _plan_recording(self, recorded: Sequence[Recorded]) -> None:
-        links = {(link.target, link.input.name): k for k, link in enumerate(self.inputs.links)}
-        places, slopes = [], []
-        self._driven: list[tuple[int, int]] = []
-        self._slow: list[tuple[int, Recorded]] = []
-        for column, item in enumerate(recorded):
-            link = links.get((item.member, item.variable.name))
-            if item.variable.type != "Real":
-                self._slow.append((column, item))
-                places.append(0)
-                slopes.append(NO_DERIVATIVE)
-            elif link is not None:
-                # At a communication point a driven input has the value of its source.
-                self._driven.append((column, link))
-                places.append(int(self.inputs.source[link]))
-                source = self.inputs.links[link]
-                slopes.append(self.outputs.slope_place(source.source, source.output.name))
-            else:
-                places.append(self.outputs.place(item.member, item.variable.name))
-                slopes.append(self.outputs.slope_place(item.member, item.variable.name))
-        self._recorded = np.array(places, np.intp)
-        self._slopes = np.array(slopes, np.intp)
+    def _order(self, link: Link) -> int:
+        """Highest derivative that a link's target takes, all lower ones included."""
+        if self._interpolates(link):
+            return MAX_DERIVATIVE
+        return next((k for k, v in enumerate(link.target_derivatives) if v is None), MAX_DERIVATIVE)
 
-    @property
-    def calls_per_sweep(self) -> int:
-        """fmi2 calls that it takes to set, step and read every slave once."""
-        inputs, outputs = sum(self.inputs.write_calls), sum(self.outputs.read_calls)
-        return inputs + len(self.slaves) + outputs
+    def _interpolates(self, link: Link) -> bool:
+        """Whether derivatives reach the target by fmi2SetRealInputDerivatives, rather than by
+        inputs der(v), der(v,2), der(v,3) of its own."""
+        able = self.system.members[link.target].description.can_interpolate_inputs
+        return able and link.target_derivatives[0] is None
+
+    def _writer(self, slave: Slave, columns: slice) -> Call:
+        """What sends a slave all of its columns of C."""
+        numbered = list(enumerate(self.links[columns], columns.start))
+        calls = []
+        plain = [(0, k, link.input.reference) for k, link in numbered] + [
+            (order, k, variable.reference)
+            for k, link in numbered
+            for order, variable in enumerate(link.target_derivatives[: self.order[k]], 1)
+            if variable is not None
+        ]
+        if plain:
+            values = np.zeros(len(plain))
+            send = slave.writer([reference for _, _, reference in plain], values)
+            calls.append(self._gathered([(order, k) for order, k, _ in plain], values, send))
+        ranked = [
+            (order, k)
+            for k, link in numbered
+            if self._interpolates(link)
+            for order in range(1, 1 + MAX_DERIVATIVE)
+        ]
+        if ranked:
+            values = np.zeros(len(ranked))
+            references = [self.links[k].input.reference for _, k in ranked]
+            send = slave.derivative_writer(references, [order for order, _ in ranked], values)
+            calls.append(self._when_stepping(self._gathered(ranked, values, send)))
+        return _chained(calls)
+
+    def _gathered(self, slots: Sequence[tuple[int, int]], values: Floats, send: Call) -> Call:
+        """Take the entries (order, link) of C, and send them."""
+        C = self.C.reshape(-1)
+        place = np.array([order * len(self.links) + k for order, k in slots], np.intp)
+
+        def write() -> None:
+            C.take(place, out=values, mode="clip")
+            send()
+
+        return write
+
+    def _when_stepping(self, call: Call) -> Call:
+        """A call that FMI 2.0 allows once initialisation is over."""
+
+        def guarded() -> None:
+            if self.stepping:
+                call()
+
+        return guarded
 
     @property
     def moves_derivatives(self) -> bool:
         """Whether some are moved by FMI functions, which initialisation mode does not allow."""
-        return max((*self.outputs.read_calls, *self.inputs.write_calls), default=0) > 1
-
-    def fill(self, row: Floats) -> None:
-        """Write the recorded values, shape (M,), into `row`."""
-        if self.outputs.Y.size:
-            self.outputs.Y.take(self._recorded, out=row, mode="clip")
-        if self.latched:
-            for column, link in self._driven:
-                row[column] = self.inputs.C[0, link]
-        for column, item in self._slow:
-            slave = self.slaves[item.member]
-            (value,) = slave.get_values(item.variable.type, [item.variable.reference])
-            row[column] = float(value)
-
-    def smooth_columns(self) -> tuple[Indices, Indices]:
-        """The columns of a row whose derivatives are read, and where those stand in Y."""
-        columns = np.flatnonzero(self._slopes != NO_DERIVATIVE)
-        if self.latched:
-            columns = np.setdiff1d(columns, [column for column, _ in self._driven])
-        return columns, self._slopes[columns]
+        return max((*self.read_calls, *self.write_calls), default=0) > 1
 
     def copy_discrete(self) -> None:
         """Copy the Integer, Boolean and String outputs to the inputs that they drive."""
@@ -118,3 +326,33 @@ class Ensemble:
             kind = link.output.type
             (value,) = self.slaves[link.source].get_values(kind, [link.output.reference])
             self.slaves[link.target].set_value(link.input, value)
+
+    # -- states of the slaves -----------------------------------------------------------------
+
+    def save(self) -> None:
+        """Save the states of all slaves as they are now, over those saved before."""
+        if self._states:
+            for slave, state in self._states:
+                slave.save_into(state)
+            self.calls += 2 * len(self._states)
+        else:
+            self._states = [(slave, slave.save()) for slave in self.slaves]
+            self.calls += len(self._states)
+
+    def restore(self) -> None:
+        """Take all slaves back to the saved states."""
+        for slave, state in self._states:
+            slave.restore(state)
+        self.calls += len(self._states)
+
+
+def _chained(calls: Sequence[Call]) -> Call:
+    """A function that calls each; the function itself where there is one."""
+    if len(calls) == 1:
+        return calls[0]
+
+    def chain() -> None:
+        for call in calls:
+            call()
+
+    return chain

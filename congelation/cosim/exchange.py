@@ -7,20 +7,18 @@ each other form an algebraic loop, which is solved.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.broyden import Broyden
-from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.graph import strong_components
-from congelation.cosim.outputs import NO_DERIVATIVE
+from congelation.cosim.broyden import broyden_step, learnt
+from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.system import derivative_name
 
-__all__ = ["Exchange"]
+__all__ = ["Exchange", "strong_components"]
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -74,8 +72,6 @@ class Exchange:
 
     Attributes
     ----------
-    calls : int
-        fmi2 calls made so far.
     loops : tuple of str
         Each algebraic loop as the names of its connections.
     """
@@ -85,7 +81,6 @@ class Exchange:
         self._wires = _wires(ensemble)
         self.blocks = _blocks(ensemble, self._wires)
         self.loops = tuple(self._names(block) for block in self.blocks if block.loop)
-        self.calls = 0
 
     @property
     def feedthrough(self) -> bool:
@@ -102,17 +97,16 @@ class Exchange:
         SlaveError
         """
         ensemble = self._ensemble
-        ensemble.inputs.C[2:] = 0.0
+        ensemble.C[2:] = 0.0
         ensemble.copy_discrete()
         for block in self.blocks:
             self._read(block)
-            values = ensemble.outputs.Y[block.places]
+            values = ensemble.Y[block.places]
             self._send(block, values)
             if block.loop:
                 self._solve(block, values, time)
-        for m, read in enumerate(ensemble.outputs.read):
-            read()
-            self.calls += ensemble.outputs.read_calls[m]
+        ensemble.read_all()
+        ensemble.calls += sum(ensemble.read_calls)
 
     def settle(self, time: float) -> None:
         """Run, and again while that changes anything: for initialisation, where an output may
@@ -128,8 +122,8 @@ class Exchange:
         before = np.full(len(places), np.nan)
         for _ in range(len(self._wires) + 2):
             self.run(time)
-            self._ensemble.outputs.check(time)
-            after = self._ensemble.outputs.Y[places]
+            self._ensemble.check(time)
+            after = self._ensemble.Y[places]
             if np.array_equal(before, after) or self._agree(after - before, after, self._wires):
                 return
             before = after
@@ -141,16 +135,19 @@ class Exchange:
 
     def _solve(self, block: Block, z: Floats, time: float) -> None:
         """Fixed point first, quasi-Newton from the second iteration on."""
-        method = Broyden(len(z))
+        J = np.zeros((len(z), len(z)))
+        z_before = r_before = None
         for _ in range(MAX_ITERATIONS):
             self._read(block)
-            residual = self._ensemble.outputs.Y[block.places] - z
-            if not np.isfinite(residual).all():
+            r = self._ensemble.Y[block.places] - z
+            if not np.isfinite(r).all():
                 break
-            if self._agree(residual, z, block.wires):
+            if self._agree(r, z, block.wires):
                 return
-            method.learn(z, residual)
-            z = method.step()
+            if z_before is not None and r_before is not None:
+                J = learnt(J, z - z_before, r - r_before)
+            z_before, r_before = z, r
+            z = z + broyden_step(J, r)
             self._send(block, z)
         raise RunEnded(
             Status.LOOP_UNSOLVED,
@@ -158,33 +155,33 @@ class Exchange:
         )
 
     def _agree(self, residual: Floats, z: Floats, wires: Sequence[Wire]) -> bool:
-        nominal = self._ensemble.inputs.nominal[[wire.link for wire in wires]]
+        nominal = self._ensemble.nominal[[wire.link for wire in wires]]
         return bool((np.abs(residual) <= LOOP_TOLERANCE * (nominal + np.abs(z))).all())
 
     def _read(self, block: Block) -> None:
         for m in block.sources:
-            self._ensemble.outputs.read[m]()
-            self.calls += self._ensemble.outputs.read_calls[m]
+            self._ensemble.read[m]()
+            self._ensemble.calls += self._ensemble.read_calls[m]
 
     def _send(self, block: Block, values: Floats) -> None:
-        self._ensemble.inputs.C.reshape(-1)[block.slots] = values
+        self._ensemble.C.reshape(-1)[block.slots] = values
         for m in block.targets:
-            self._ensemble.inputs.write[m]()
-            self.calls += self._ensemble.inputs.write_calls[m]
+            self._ensemble.write[m]()
+            self._ensemble.calls += self._ensemble.write_calls[m]
 
     def _names(self, block: Block) -> str:
-        names = dict.fromkeys(self._ensemble.inputs.links[wire.link].name for wire in block.wires)
+        names = dict.fromkeys(self._ensemble.links[wire.link].name for wire in block.wires)
         return ", ".join(names)
 
     def _all_names(self) -> str:
-        return ", ".join(link.name for link in self._ensemble.inputs.links)
+        return ", ".join(link.name for link in self._ensemble.links)
 
 
 def _wires(ensemble: Ensemble) -> list[Wire]:
-    values = [Wire(0, k, int(place)) for k, place in enumerate(ensemble.inputs.source)]
+    values = [Wire(0, k, int(place)) for k, place in enumerate(ensemble.source)]
     derivatives = [
         Wire(1, k, int(place))
-        for k, place in enumerate(ensemble.inputs.source_derivative)
+        for k, place in enumerate(ensemble.source_derivative)
         if place != NO_DERIVATIVE
     ]
     return values + derivatives
@@ -192,8 +189,8 @@ def _wires(ensemble: Ensemble) -> list[Wire]:
 
 def _follows(ensemble: Ensemble, first: Wire, second: Wire) -> bool:
     """Whether the value on `second` depends directly on the input that `first` sets."""
-    into, out = ensemble.inputs.links[first.link], ensemble.inputs.links[second.link]
-    if into.target != out.source or ensemble.inputs.order[first.link] < first.order:
+    into, out = ensemble.links[first.link], ensemble.links[second.link]
+    if into.target != out.source or ensemble.order[first.link] < first.order:
         return False
     known = ensemble.system.members[out.source].description.dependencies
     output = out.output.name if second.order == 0 else derivative_name(out.output.name, 1)
@@ -226,8 +223,8 @@ def _blocks(ensemble: Ensemble, wires: Sequence[Wire]) -> list[Block]:
 
 
 def _block(ensemble: Ensemble, wires: Sequence[Wire], *, loop: bool) -> Block:
-    links = [ensemble.inputs.links[wire.link] for wire in wires]
-    count = len(ensemble.inputs.links)
+    links = [ensemble.links[wire.link] for wire in wires]
+    count = len(ensemble.links)
     return Block(
         sources=tuple(sorted({link.source for link in links})),
         targets=tuple(sorted({link.target for link in links})),
@@ -236,3 +233,54 @@ def _block(ensemble: Ensemble, wires: Sequence[Wire], *, loop: bool) -> Block:
         wires=tuple(wires),
         loop=loop,
     )
+
+
+def strong_components(successors: Mapping[int, Sequence[int]]) -> list[list[int]]:
+    """Strongly connected components of a directed graph, in topological order.
+
+    R. Tarjan, Depth-first search and linear graph algorithms, SIAM J. Computing 1 (1972), without
+    recursion.
+
+    Parameters
+    ----------
+    successors : mapping of int to sequence of int
+        Every node is a key.
+
+    Returns
+    -------
+    list of list of int
+        A component comes before those that its edges lead to.
+    """
+    number: dict[int, int] = {}
+    low: dict[int, int] = {}
+    stack: list[int] = []
+    found: list[list[int]] = []
+    for root in successors:
+        if root in number:
+            continue
+        path = [(root, iter(successors[root]))]
+        number[root] = low[root] = len(number)
+        stack.append(root)
+        while path:
+            node, rest = path[-1]
+            step = next(rest, None)
+            if step is None:
+                path.pop()
+                if path:
+                    low[path[-1][0]] = min(low[path[-1][0]], low[node])
+                if low[node] == number[node]:
+                    place = stack.index(node)
+                    found.append(stack[place:])
+                    del stack[place:]
+                    for member in found[-1]:
+                        low[member] = len(successors)
+            elif step not in number:
+                number[step] = low[step] = len(number)
+                stack.append(step)
+                path.append((step, iter(successors[step])))
+            else:
+                # A node of a finished component has the low of no open one.
+                low[node] = min(
+                    low[node], low[step] if low[step] == len(successors) else number[step]
+                )
+    return found[::-1]

@@ -29,8 +29,8 @@ class Status(Enum):
         "shorten the communication step, or use the coupling 'hermite' with a tolerance."
     )
     NOT_CONVERGED = (
-        "The sweeps over a macro step did not converge; shorten the communication step, or give "
-        "a tolerance so that it is chosen for you."
+        "The iterations over a macro step did not converge; shorten the communication step, or "
+        "give a tolerance so that it is chosen for you."
     )
     LOOP_UNSOLVED = (
         "An algebraic loop could not be solved; give start values nearer to its solution, or "
@@ -60,10 +60,10 @@ class Statistics:
     macro_steps : int
         Communication steps accepted.
     rejected : int
-        Steps taken back because their estimated error was too large, or the sweeps did not
+        Steps taken back because their estimated error was too large, or the iterations did not
         converge.
-    sweeps : int
-        Passes over all components, rejected steps included.
+    iterations : int
+        Passes over all components, those of rejected steps included.
     fmi_calls : int
         Calls of fmi2 functions during the stepping loop.
     events : int
@@ -77,7 +77,7 @@ class Statistics:
 
     macro_steps: int = 0
     rejected: int = 0
-    sweeps: int = 0
+    iterations: int = 0
     fmi_calls: int = 0
     events: int = 0
     estimated_error: float = 0.0
@@ -95,7 +95,7 @@ class Result:
         One line: the status in the words of this run (component, time, reason).
     time : array, shape (N,)
         Communication points in seconds; the first is the start time.
-    columns : tuple of str, length M
+    names : tuple of str, length M
         "component.variable".
     values : array, shape (N, M)
         Row k holds the values at time[k]. Where a sink took the rows, `time` and `values` hold
@@ -106,7 +106,7 @@ class Result:
     status: Status
     message: str
     time: npt.NDArray[np.float64]
-    columns: tuple[str, ...]
+    names: tuple[str, ...]
     values: npt.NDArray[np.float64]
     statistics: Statistics
 
@@ -117,9 +117,9 @@ class Result:
 
     def column(self, name: str) -> npt.NDArray[np.float64]:
         """The values of one variable, shape (N,); of a vector by its bare name, shape (N, n)."""
-        if name in self.columns:
-            return self.values[:, self.columns.index(name)]
-        elements = [k for k, c in enumerate(self.columns) if c.rpartition("[")[0] == name]
+        if name in self.names:
+            return self.values[:, self.names.index(name)]
+        elements = [k for k, other in enumerate(self.names) if other.rpartition("[")[0] == name]
         if not elements:
-            raise InvalidInput(f"no column '{name}'; {nearest(name, self.columns)}")
+            raise InvalidInput(f"no column '{name}'; {nearest(name, self.names)}")
         return self.values[:, elements]

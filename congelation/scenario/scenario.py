@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from congelation.cosim.coupling import Coupling, make_coupling
-from congelation.cosim.output import Output
+from congelation.cosim.experiment import Experiment
 from congelation.cosim.system import System
 from congelation.scenario.axes import Sweep
 from congelation.scenario.start_values import Scalar
@@ -27,53 +27,6 @@ __all__ = [
 
 EXPERIMENT = "experiment"
 """Name of the table, and what settings of its keys begin with."""
-
-
-@dataclass(frozen=True)
-class Experiment:
-    """What to do with a system.
-
-    Parameters
-    ----------
-    stop_time : float
-        Seconds.
-    record : tuple of str
-        Names ``component.variable``; a vector's name stands for its elements.
-    start_time : float
-        Seconds.
-    step : float, optional
-        Distance of the communication points, in seconds; with a tolerance, the first one tried.
-    tolerance : float, optional
-        Chooses the steps: how far inputs may be from the outputs that drive them.
-    coupling : str
-        How inputs move between communication points, one of `congelation.cosim.coupling`.
-    options : mapping
-        Options of the coupling.
-    slave_tolerance : float, optional
-        Relative tolerance of the integration inside the FMUs.
-    output_interval : float, optional
-        Seconds between recorded rows, whatever the steps; else every communication point is one.
-    output_every : int, optional
-        Every how many communication points a row is recorded; not with an interval.
-    """
-
-    stop_time: float
-    record: tuple[str, ...]
-    start_time: float = 0.0
-    step: float | None = None
-    tolerance: float | None = None
-    coupling: str = "derivative"
-    options: Mapping[str, object] = field(default_factory=dict)
-    slave_tolerance: float | None = None
-    output_interval: float | None = None
-    output_every: int | None = None
-
-    @property
-    def output(self) -> Output | None:
-        """What to record, where it is not every communication point."""
-        if self.output_interval is not None:
-            return Output(interval=self.output_interval)
-        return None if self.output_every is None else Output(every=self.output_every)
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from congelation.cosim.master import simulate
-from congelation.cosim.output import Output
+from congelation.cosim.master import perform
 from congelation.cosim.pool import SlavePool
+from congelation.cosim.recording import Output
 from congelation.fmi.description import describe
 from congelation.results.identity import code_version
 from congelation.results.records import Trajectory
@@ -47,21 +47,14 @@ def execute(
     output = experiment.output
     points = Points(scenario.measured)
     apart = output is not None and bool(scenario.metrics)
-    result = simulate(
+    result = perform(
         run.case.system,
-        start_time=experiment.start_time,
-        stop_time=experiment.stop_time,
-        step=experiment.step,
-        tolerance=experiment.tolerance,
-        coupling=experiment.coupling,
-        options=experiment.options,
-        record=experiment.record,
-        output=[output, Output(sink=points)] if output is not None and apart else output,
-        slave_tolerance=experiment.slave_tolerance,
+        experiment,
+        output=[output, Output(sink=points)] if output is not None and apart else None,
         progress=progress,
         pool=pool,
     )
-    kept = Trajectory(result.time, result.columns, result.values, _units(run, result.columns))
+    kept = Trajectory(result.time, result.names, result.values, _units(run, result.names))
     metrics: Mapping[str, float | None] = dict.fromkeys(spec.name for spec in scenario.metrics)
     if result.completed:  # a metric of half a run would pass for one of a whole run
         measured = points.with_rows(kept) if apart else kept

@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from congelation.cosim.experiment import Experiment
 from congelation.results.records import Row, Trajectory
 from congelation.results.store import Store
-from congelation.scenario.scenario import Experiment
 from congelation.sweep.plan import Run
 from congelation.sweep.workers import Task, Work, Worker, at_work
 

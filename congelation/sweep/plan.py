@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import cast
 
-from congelation.cosim.coupling import make_coupling, refuse_tolerance
+from congelation.cosim.coupling import refuse_tolerance
 from congelation.errors import InvalidInput
 from congelation.fmi.description import describe
 from congelation.results.identity import code_version, content_hash, file_hash
@@ -89,9 +89,8 @@ def _require_steps(scenario: Scenario, experiment: Experiment) -> None:
     """
     if experiment.tolerance is None:
         return
-    coupling = make_coupling(experiment.coupling, experiment.options)
     try:
-        refuse_tolerance(coupling, experiment.tolerance)
+        refuse_tolerance(experiment.chosen_coupling, experiment.tolerance)
     except InvalidInput as error:
         raise InvalidInput(f"{scenario.file}: {EXPERIMENT}.tolerance: {error}") from error
 

@@ -9,7 +9,7 @@ from typing import final
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.recorder import Memory, Sink
+from congelation.cosim.recording import Memory, Sink
 from congelation.results.records import Trajectory
 from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import Case, MetricSpec

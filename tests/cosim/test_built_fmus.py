@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from congelation.cosim import SlavePool, adaptive, simulate
-from congelation.cosim.step_size import StepSize
+from congelation.cosim import SlavePool, simulate, stepping
+from congelation.cosim.stepping import StepSize
 from congelation.scenario.load import load_scenario
 from congelation.verify.reference import reference
 from tests.scenarios import ROOT
@@ -43,7 +43,7 @@ def relative_error(case, result):
     solution = reference(case).solve(result.time)
     return max(
         np.abs(result.column(name) - solution[name]).max() / np.abs(solution[name]).max()
-        for name in result.columns
+        for name in result.names
     )
 
 
@@ -128,21 +128,21 @@ def test_rejected_steps_leave_no_trace(pool, monkeypatch):
         "pool": pool,
     }
     plain = simulate(case.system, **kwargs)
-    tried, refused = adaptive._tried, StepSize.refused
+    tried, refused = stepping._tried, StepSize.refused
     good, forced_error = [], 2.0**1000
 
     def sometimes_refused(*arguments):
-        error = tried(*arguments)
+        trial, error = tried(*arguments)
         if error <= 1.0:
             good.append(error)
             if len(good) % 4 == 0:
-                return forced_error
-        return error
+                return trial, forced_error
+        return trial, error
 
     def same_again(self, error, length, order):
         return self if error == forced_error else refused(self, error, length, order)
 
-    monkeypatch.setattr(adaptive, "_tried", sometimes_refused)
+    monkeypatch.setattr(stepping, "_tried", sometimes_refused)
     monkeypatch.setattr(StepSize, "refused", same_again)
     forced = simulate(case.system, **kwargs)
     count = len(good) // 4

@@ -1,12 +1,12 @@
 """Couplings against the monolithic solution: orders, jumps, mixed systems, loops, roll-back."""
 
+import itertools
 import math
 
 import numpy as np
 import pytest
 
-from congelation.cosim import Component, Connection, Status, System, simulate
-from congelation.cosim.coupling.hermite import Hermite
+from congelation.cosim import Component, Connection, Hermite, Status, System, simulate
 from congelation.errors import InvalidInput
 
 from .monolithic import order, solution
@@ -28,8 +28,8 @@ def error(system, solution_of=solution, **kwargs):
         ("gauss_seidel", {}, (0.04, 0.02, 0.01), 1.0),
         ("derivative", {}, (0.1, 0.05, 0.025), 2.0),
         ("derivative", {"sequence": "jacobi"}, (0.1, 0.05, 0.025), 2.0),
-        ("hermite", {"sweeps": 2}, (0.2, 0.1, 0.05), 4.0),
-        ("hermite", {"sweeps": 3}, (0.2, 0.1, 0.05), 4.0),
+        ("hermite", {"iterations": 2}, (0.2, 0.1, 0.05), 4.0),
+        ("hermite", {"iterations": 3}, (0.2, 0.1, 0.05), 4.0),
         ("hermite", {}, (0.2, 0.1, 0.05), 4.0),
         ("hermite", {"order": 4}, (0.2, 0.1, 0.05), 4.0),
     ],
@@ -124,7 +124,7 @@ def test_hermite_needs_few_steps_for_a_small_error(loop):
     assert result.statistics.macro_steps < 150
 
 
-def test_quasi_newton_sweeps_follow_a_loop_whose_gain_plain_sweeps_cannot(loop):
+def test_quasi_newton_iterations_follow_a_loop_whose_gain_plain_iterations_cannot(loop):
     gains = {"k": 1e3, "d": 1e3}
     system = loop({"a": 1.0}, gains)
     steps = {}
@@ -137,11 +137,11 @@ def test_quasi_newton_sweeps_follow_a_loop_whose_gain_plain_sweeps_cannot(loop):
             options={"acceleration": acceleration},
         )
         assert largest < 1e-4
-        steps[acceleration] = result.statistics.sweeps
+        steps[acceleration] = result.statistics.iterations
     assert 4 * steps["broyden"] < steps["none"]
 
 
-def test_sweeps_that_do_not_converge_name_the_connection(loop):
+def test_iterations_that_do_not_converge_name_the_connection(loop):
     result = simulate(
         loop(controller={"k": 1e3, "d": 1e3}),
         stop_time=1.0,
@@ -158,24 +158,24 @@ def test_sweeps_that_do_not_converge_name_the_connection(loop):
 @pytest.mark.parametrize("coupling", ["hermite", "derivative"])
 def test_a_rejected_step_leaves_no_trace(loop, coupling, monkeypatch):
     """Every third attempt is refused once, and then tried again at the same length."""
-    from congelation.cosim import adaptive
-    from congelation.cosim.step_size import StepSize
+    from congelation.cosim import stepping
+    from congelation.cosim.stepping import StepSize
 
     kwargs = {"stop_time": 2.0, "tolerance": 1e-4, "coupling": coupling}
     plain = simulate(loop({"a": 1.0}), **kwargs)
     assert plain.statistics.rejected == 0
 
-    tried, count = adaptive._tried, {"attempts": 0, "forced": 0}
+    tried, count = stepping._tried, {"attempts": 0, "forced": 0}
 
     def sometimes_refused(*arguments):
-        error = tried(*arguments)
+        trial, error = tried(*arguments)
         count["attempts"] += 1
         if count["attempts"] % 3 == 0:
             count["forced"] += 1
-            return np.inf
-        return error
+            return trial, np.inf
+        return trial, error
 
-    monkeypatch.setattr(adaptive, "_tried", sometimes_refused)
+    monkeypatch.setattr(stepping, "_tried", sometimes_refused)
     monkeypatch.setattr(StepSize, "refused", lambda self, error, length, order: self)
     forced = simulate(loop({"a": 1.0}), **kwargs)
     assert forced.statistics.rejected == count["forced"] > 3
@@ -212,20 +212,28 @@ def test_a_jump_that_nobody_announces_is_a_status(fmus):
 
 
 def test_an_error_that_never_falls_names_the_connection(loop, monkeypatch):
-    from congelation.cosim.coupling.interpolant import Interpolant
+    from congelation.cosim.coupling import hermite
 
-    monkeypatch.setattr(Interpolant, "error", lambda self: 1.0)
+    def never_falls(piece, points, end, new, *, high):
+        return np.ones(new.shape[1]), None
+
+    monkeypatch.setattr(hermite, "estimated_error", never_falls)
     result = simulate(loop(), stop_time=1.0, tolerance=1e-4, coupling="hermite")
     assert result.status is Status.STEP_TOO_SMALL
     assert " -> " in result.message
     assert result.time.tolist() == [0.0]
 
 
-def test_sweeps_that_never_settle_name_the_connection(loop, monkeypatch):
-    from congelation.cosim.coupling.feedback import Feedback
+def test_iterations_that_never_settle_name_the_connection(loop, monkeypatch):
+    from congelation.cosim.coupling import hermite
 
-    monkeypatch.setattr(Feedback, "change", lambda self: 1.0)
-    monkeypatch.setattr(Feedback, "improve", lambda self: None)
+    found = hermite._HermiteStepper._iterated
+    sizes = itertools.cycle([1.0, -1.0])
+
+    def restless(self, *arguments):
+        return found(self, *arguments) + next(sizes)
+
+    monkeypatch.setattr(hermite._HermiteStepper, "_iterated", restless)
     result = simulate(loop(), stop_time=1.0, tolerance=1e-4, coupling="hermite")
     assert result.status is Status.NOT_CONVERGED
     assert "controller.u -> plant.u" in result.message
@@ -276,10 +284,12 @@ def test_derivative_coupling_with_an_fmu_that_holds_its_inputs(fmus, sequence):
     assert order(steps, errors) == pytest.approx(1.0, abs=0.2)
 
 
-def test_one_hermite_sweep_with_an_fmu_that_holds_its_inputs_is_of_order_two(fmus):
+def test_one_hermite_iteration_with_an_fmu_that_holds_its_inputs_is_of_order_two(fmus):
     """The held input is the mean of its cubic over the step, not its first value."""
     steps = (0.08, 0.04, 0.02)
-    errors = [error(mixed(fmus), from_rest, coupling=Hermite(sweeps=1), step=h)[0] for h in steps]
+    errors = [
+        error(mixed(fmus), from_rest, coupling=Hermite(iterations=1), step=h)[0] for h in steps
+    ]
     assert order(steps, errors) == pytest.approx(2.0, abs=0.3)
 
 

@@ -7,11 +7,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from congelation.cosim.broyden import Broyden
-from congelation.cosim.coupling.history import History, differentiation
-from congelation.cosim.coupling.polynomial import hermite, interpolation, matched
-from congelation.cosim.graph import strong_components
-from congelation.cosim.step_size import StepSize
+from congelation.cosim.broyden import broyden_step, learnt
+from congelation.cosim.coupling.points import KEPT, Points
+from congelation.cosim.coupling.polynomial import (
+    differentiation,
+    hermite,
+    interpolation,
+    matched,
+)
+from congelation.cosim.exchange import strong_components
+from congelation.cosim.stepping import StepSize
 
 coefficients = st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=4)
 lengths = st.floats(1e-3, 10.0)
@@ -103,19 +108,34 @@ def test_weights_differentiate_cubics_exactly(c, at):
     assert slope @ cubic(nodes) == pytest.approx(cubic.deriv()(at), abs=1e-11)
 
 
-def test_a_history_grows_in_order_and_restarts():
+def test_points_carry_values_without_derivatives_as_far_as_a_cubic():
     cubic = np.polynomial.Polynomial([1.0, -2.0, 0.5, 0.25])
-    history = History(1)
-    history.restart(0.0, np.array([cubic(0.0)]))
-    assert history.slope() == 0.0
-    history.add(0.5, np.array([cubic(0.5)]))
-    assert history.slope() == pytest.approx((cubic(0.5) - cubic(0.0)) / 0.5)
-    history.add(0.8, np.array([cubic(0.8)]))
-    start, end = history.slopes(1.0, np.array([cubic(1.0)]))
+    links = np.array([1])
+
+    def at(time):
+        return np.array([[np.nan, cubic(time)], [np.nan, np.nan]])
+
+    points = Points.begun(0.0, at(0.0))
+    assert points.predicted(0.0, links)[1] == 0.0
+    points = points.followed(0.5, at(0.5))
+    slope = (cubic(0.5) - cubic(0.0)) / 0.5
+    assert points.predicted(0.5, links)[1] == pytest.approx(slope)
+    points = points.followed(0.8, at(0.8))
+    start, end = points.slopes(1.0, links, np.array([cubic(1.0)]))
     assert start == pytest.approx(cubic.deriv()(0.8))
     assert end == pytest.approx(cubic.deriv()(1.0))
-    history.restart(2.0, np.array([7.0]))
-    assert history.predict(3.0)[0] == 7.0
+
+
+def test_points_drop_the_oldest_and_are_never_changed():
+    first = Points.begun(0.0, np.array([[1.0], [0.5]]))
+    kept, table = first, first.table.copy()
+    for k in range(1, 5):
+        kept = kept.followed(float(k), np.array([[1.0 + k], [0.5]]))
+    assert kept.times == (2.0, 3.0, 4.0)
+    assert kept.table.shape == (2, KEPT, 1)
+    assert kept.now.tolist() == [[5.0], [0.5]]
+    assert first.times == (0.0,)
+    assert np.array_equal(first.table, table)
 
 
 @given(st.integers(0, 10**6), st.integers(1, 6), st.floats(0.1, 1e3))
@@ -124,37 +144,43 @@ def test_broyden_solves_affine_problems_in_twice_their_size(seed, size, gain):
     A = gain * generator.normal(size=(size, size))
     b = generator.normal(size=size)
     solution = np.linalg.solve(np.eye(size) - A, b)
-    z, method = np.zeros(size), Broyden(size)
+    J, z = np.zeros((size, size)), np.zeros(size)
+    r = A @ z + b - z
     for _ in range(2 * size + 1):
-        method.learn(z, A @ z + b - z)
-        z = method.step()
+        dz = broyden_step(J, r)
+        r_before, z = r, z + dz
+        r = A @ z + b - z
+        J = learnt(J, dz, r - r_before)
     condition = np.linalg.cond(np.eye(size) - A) * (1.0 + gain)
     assert z == pytest.approx(solution, abs=1e-9 * condition * (1.0 + np.abs(solution).max()))
 
 
-def after(method, z):
-    """The iterate after z for G(z) = 12 - 5 z, whose fixed point is 2."""
-    method.learn(np.array([z]), np.array([12.0 - 5.0 * z - z]))
-    return method.step().item()
-
-
 def test_broyden_begins_with_the_plain_iteration_and_keeps_what_it_learnt():
-    method = Broyden(1)
-    assert after(method, 0.0) == 12.0
-    assert after(method, 12.0) == pytest.approx(2.0)
-    method.restart()
-    assert after(method, 1.0) == pytest.approx(2.0)
-    method.restart()
-    method.rescale(0.0)
-    assert after(method, 1.0) == 7.0
+    """G(z) = 12 - 5 z, whose fixed point is 2."""
+
+    def residual(z):
+        return 12.0 - 5.0 * z - z
+
+    J, z = np.zeros((1, 1)), np.array([0.0])
+    after = z + broyden_step(J, residual(z))
+    assert after == 12.0
+    J = learnt(J, after - z, residual(after) - residual(z))
+    assert J.tolist() == [[-5.0]]
+    for start in (1.0, 12.0):
+        z = np.array([start])
+        assert z + broyden_step(J, residual(z)) == pytest.approx(2.0)
+
+
+def test_broyden_learns_nothing_from_an_iterate_that_did_not_move():
+    J = np.array([[0.5]])
+    assert learnt(J, np.zeros(1), np.zeros(1)) is J
 
 
 def test_broyden_falls_back_to_the_plain_step_where_the_jacobian_is_singular():
     """G(z) = z + 1 has no fixed point."""
-    method = Broyden(1)
-    for z in (0.0, 1.0):
-        method.learn(np.array([z]), np.array([1.0]))
-    assert method.step().tolist() == [2.0]
+    J = learnt(np.zeros((1, 1)), np.array([1.0]), np.array([0.0]))
+    assert J.tolist() == [[1.0]]
+    assert broyden_step(J, np.array([1.0])).tolist() == [1.0]
 
 
 @given(st.dictionaries(st.integers(0, 8), st.sets(st.integers(0, 8))))

@@ -5,7 +5,7 @@ import pyarrow.parquet
 import pytest
 
 from congelation.cosim import Component, Memory, Output, ParquetFile, Status, System, simulate
-from congelation.cosim.recorder import BLOCK_ROWS
+from congelation.cosim.recording import BLOCK_ROWS
 from congelation.errors import InvalidInput
 
 from .monolithic import order, solution
@@ -140,9 +140,9 @@ def test_a_file_holds_what_memory_would(loop, tmp_path):
         loop(), stop_time=1.0, step=5e-5, coupling="jacobi", output=Output(sink=ParquetFile(path))
     )
     table = pyarrow.parquet.read_table(path)
-    assert table.column_names == ["time", *kept.columns]
+    assert table.column_names == ["time", *kept.names]
     assert np.array_equal(table["time"].to_numpy(), kept.time)
-    for name in kept.columns:
+    for name in kept.names:
         assert np.array_equal(table[name].to_numpy(), kept.column(name))
     assert len(kept.time) > 2 * BLOCK_ROWS
     assert pyarrow.parquet.ParquetFile(path).num_row_groups == 3

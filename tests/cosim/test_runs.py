@@ -10,14 +10,14 @@ from congelation.cosim import (
     Component,
     Connection,
     Output,
+    Sampled,
     SlavePool,
     Status,
     System,
     make_coupling,
     simulate,
 )
-from congelation.cosim.coupling import Sampled
-from congelation.cosim.fixed import number_of_steps
+from congelation.cosim.experiment import step_count
 from congelation.errors import InvalidInput
 
 FIXED = ("jacobi", "gauss_seidel", "derivative", "hermite")
@@ -58,8 +58,8 @@ def test_many_steps_do_not_drift(fmus):
         (0, 1.0000001, 0.1, 11),
     ],
 )
-def test_the_number_of_steps(start, stop, step, count):
-    assert number_of_steps(start, stop, step) == count
+def test_the_step_count(start, stop, step, count):
+    assert step_count(start, stop, step) == count
 
 
 @pytest.mark.parametrize("coupling", FIXED)
@@ -111,7 +111,7 @@ def test_integers_booleans_and_strings_are_carried_over(fmus):
 @pytest.mark.parametrize("coupling", FIXED)
 def test_a_failing_fmu_ends_the_run_and_keeps_its_rows(fmus, coupling):
     system = System((Component("f", fmus / "TestFaulty.fmu", {"mode": 1.0, "at": 0.5}),))
-    options = {"sweeps": 1} if coupling == "hermite" else None
+    options = {"iterations": 1} if coupling == "hermite" else None
     result = simulate(system, stop_time=1.0, step=0.125, coupling=coupling, options=options)
     assert result.status is Status.SLAVE_FAILED
     assert result.message == "f at t = 0.5: the valve is stuck, 100% open"
@@ -144,7 +144,7 @@ def test_a_refused_parameter_ends_the_run_before_it_begins(fmus):
 @pytest.mark.parametrize("coupling", FIXED)
 def test_a_value_that_is_not_finite_is_named(fmus, coupling):
     system = System((Component("f", fmus / "TestFaulty.fmu", {"mode": 3.0, "at": 0.5}),))
-    options = {"sweeps": 1} if coupling == "hermite" else None
+    options = {"iterations": 1} if coupling == "hermite" else None
     result = simulate(
         system, stop_time=1.0, step=0.125, coupling=coupling, options=options, record=["f.y"]
     )
@@ -228,8 +228,8 @@ def test_progress_goes_from_the_start_to_one(loop):
         ({"stop_time": 1.0, "tolerance": 0.0}, "must lie between 0 and 1"),
         ({"stop_time": 1.0, "step": 0.1, "coupling": "jakobi"}, "did you mean 'jacobi'"),
         (
-            {"stop_time": 1.0, "step": 0.1, "coupling": "hermite", "options": {"sweep": 2}},
-            "did you mean 'sweeps'",
+            {"stop_time": 1.0, "step": 0.1, "coupling": "hermite", "options": {"iteration": 2}},
+            "did you mean 'iterations'",
         ),
         ({"stop_time": 1.0, "tolerance": 1e-3, "coupling": "jacobi"}, "takes a fixed step"),
     ],
@@ -247,19 +247,19 @@ def test_options_belong_to_a_name(loop):
             stop_time=1.0,
             step=0.1,
             coupling=make_coupling("hermite"),
-            options={"sweeps": 2},
+            options={"iterations": 2},
         )
 
 
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("hermite", {"sweeps": 0}, "sweeps 0"),
-        ("hermite", {"max_sweeps": 0}, "max_sweeps 0"),
+        ("hermite", {"iterations": 0}, "iterations 0"),
+        ("hermite", {"max_iterations": 0}, "max_iterations 0"),
         ("hermite", {"tolerance": -1.0}, "must lie between 0 and 1"),
         ("hermite", {"tolerance": math.inf}, "must lie between 0 and 1"),
-        ("hermite", {"sweeps": 1.5}, "sweeps = 1.5: an integer is needed"),
-        ("hermite", {"sweeps": True}, "sweeps = True: an integer is needed"),
+        ("hermite", {"iterations": 1.5}, "iterations = 1.5: an integer is needed"),
+        ("hermite", {"iterations": True}, "iterations = True: an integer is needed"),
         ("hermite", {"order": 5}, "order 5; valid: 4, 6"),
         ("hermite", {"order": "6"}, "order = '6': an integer is needed"),
         ("hermite", {"acceleration": 1}, "a text is needed"),

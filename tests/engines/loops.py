@@ -99,7 +99,7 @@ def deviation(
     assert names
     worst = 0.0
     for name in names:
-        column = expected.values[first_row:, expected.columns.index(name)]
+        column = expected.values[first_row:, expected.names.index(name)]
         values = np.array(found[name])
         assert values.shape == column.shape
         worst = max(worst, np.abs(values - column).max() / max(1.0, np.abs(column).max()))

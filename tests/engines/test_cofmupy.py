@@ -26,7 +26,7 @@ def first_inputs(loop: Loop, request: dict[str, object]) -> dict[str, dict[str, 
     start = reference(loop, STEPS)
     inputs: dict[str, dict[str, float]] = {}
     for source, output, target, input_ in request["connections"]:
-        value = start.values[0, start.columns.index(f"{source}.{output}")]
+        value = start.values[0, start.names.index(f"{source}.{output}")]
         inputs.setdefault(target, {})[input_] = float(value)
     return inputs
 

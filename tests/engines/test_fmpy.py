@@ -26,7 +26,7 @@ def test_an_fmu_along_the_masters_inputs(loop: Loop, component: str, tmp_path: P
         for source, output, target, input_ in request["connections"]
         if target == component
     }
-    names = [c for c in expected.columns if c.startswith(f"{component}.")]
+    names = [c for c in expected.names if c.startswith(f"{component}.")]
     own = {
         **request["components"][component],
         "input": {"time": expected.time.tolist(), **table},

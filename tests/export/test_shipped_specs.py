@@ -31,4 +31,4 @@ def test_closed_loop(file, tmp_path):
 
 
 def columns(result, name):
-    return [k for k, column in enumerate(result.columns) if column.split("[")[0] == name]
+    return [k for k, column in enumerate(result.names) if column.split("[")[0] == name]

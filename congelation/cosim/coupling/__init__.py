@@ -1,4 +1,12 @@
-"""Couplings: how inputs move between communication points, one file each."""
+"""Couplings: how inputs move between communication points.
+
+base            the contract, and what a trial of a step returns
+held            Jacobi, GaussSeidel, Sampled
+derivative      Derivative
+hermite         Hermite; its polynomials in interpolant
+points          what the links were at the last points, for Derivative and Hermite
+polynomial      plain mathematics
+"""
 
 from __future__ import annotations
 
@@ -11,13 +19,12 @@ from congelation.cosim.coupling.base import (
     AdaptiveStepper,
     Coupling,
     Stepper,
+    Trial,
     refuse_tolerance,
 )
 from congelation.cosim.coupling.derivative import Derivative
-from congelation.cosim.coupling.gauss_seidel import GaussSeidel
+from congelation.cosim.coupling.held import GaussSeidel, Jacobi, Sampled
 from congelation.cosim.coupling.hermite import Hermite
-from congelation.cosim.coupling.jacobi import Jacobi
-from congelation.cosim.coupling.sampled import Sampled
 from congelation.errors import InvalidInput, nearest
 
 __all__ = [
@@ -30,6 +37,7 @@ __all__ = [
     "Jacobi",
     "Sampled",
     "Stepper",
+    "Trial",
     "make_coupling",
     "refuse_tolerance",
 ]

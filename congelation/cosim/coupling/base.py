@@ -1,39 +1,82 @@
-"""The contract of a coupling: how inputs move between communication points."""
+"""The contract of a coupling: how inputs move between communication points.
+
+A coupling is described by plain data (Coupling). At work on one system it is a Stepper, which holds
+what follows from the system once and for all. Whatever changes from step to step is the state, a
+value: a step takes one and returns the next, and never changes the one that it was given. The
+fields of a state are numbers and flat arrays, as they would stand in a C struct.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from typing import ClassVar
+from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
 
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.errors import InvalidInput
 
-__all__ = ["AdaptiveStepper", "Coupling", "Stepper", "refuse_tolerance"]
+__all__ = ["AdaptiveStepper", "Coupling", "Stepper", "Trial", "Watch", "refuse_tolerance"]
+
+Floats = npt.NDArray[np.float64]
+S = TypeVar("S")
+
+WATCHED_ROWS = 256
+"""Steps looked at together: one array operation then costs next to nothing per step."""
 
 
-class Stepper(ABC):
-    """A coupling at work on one system: advances it by a macro step at a time.
+class Trial(NamedTuple, Generic[S]):
+    """What a trial of a step found.
+
+    Parameters
+    ----------
+    state : S
+        At the end of the step; drop it where the step is taken back.
+    error : float
+        Estimated distance of an input from the output that drives it, relative to nominal value
+        plus size; infinity where the iterations did not converge.
+    order : int
+        The error falls with this power of the step.
+    worst : int
+        The link of the largest error.
+    """
+
+    state: S
+    error: float
+    order: int
+    worst: int
+
+
+class Stepper(ABC, Generic[S]):
+    """A coupling at work on one system.
 
     Attributes
     ----------
-    sweeps, calls : int
-        Passes over all components, and fmi2 calls, made so far; complete after `finish`.
-    estimated_error : float
-        As in Statistics; complete after `finish`.
+    iterations : int
+        Passes over all components made so far.
+    calls_per_iteration : int
+        fmi2 calls that one takes; what is called besides is counted by the ensemble.
     """
 
-    sweeps: int
-    calls: int
-    estimated_error: float
+    iterations: int
+    calls_per_iteration: int
 
     @abstractmethod
-    def start(self, time: float) -> None:
-        """Begin, or begin anew after a jump: outputs and inputs agree at `time`."""
+    def start(self, time: float, before: S | None) -> S:
+        """The state at the start, or after a jump, where outputs and inputs agree.
+
+        Parameters
+        ----------
+        time : float
+        before : S or None
+            The state before the jump.
+        """
 
     @abstractmethod
-    def advance(self, time: float, end: float) -> None:
+    def advance(self, state: S, time: float, end: float) -> S:
         """Step every slave from `time` to `end`; afterwards Y holds the outputs at `end`.
 
         Raises
@@ -43,46 +86,27 @@ class Stepper(ABC):
         """
 
     @abstractmethod
-    def finish(self) -> None:
-        """Complete the statistics."""
+    def largest_error(self) -> float:
+        """Largest error of the steps made by `advance`, as in Statistics."""
 
 
-class AdaptiveStepper(Stepper):
-    """A stepper whose steps carry an error estimate and can be taken back.
-
-    Attributes
-    ----------
-    order : int
-        The estimate of the last trial falls with this power of the step.
-    """
-
-    order: int
+class AdaptiveStepper(Stepper[S]):
+    """A stepper whose steps carry an error estimate and can be taken back."""
 
     @abstractmethod
-    def attempt(self, time: float, end: float) -> float:
-        """Step from `time` to `end` for a trial, which `accept` or `reject` must follow.
+    def attempt(self, state: S, time: float, end: float) -> Trial[S]:
+        """Step from `time` to `end` for a trial.
 
-        Returns
-        -------
-        float
-            Estimated distance of an input from the output that drives it, relative to nominal
-            value plus size; infinity where the sweeps did not converge.
+        The ensemble's saved states are those at `time`; they are for the caller to restore where
+        the step is taken back.
+
+        Raises
+        ------
+        StepDiscarded, SlaveError, RunEnded
         """
 
     @abstractmethod
-    def accept(self) -> None:
-        """Keep the step that was tried."""
-
-    @abstractmethod
-    def reject(self) -> None:
-        """Take the step that was tried back, without a trace; also after an exception in it."""
-
-    @abstractmethod
-    def worst(self) -> str:
-        """The connection that the last trial left in the largest error."""
-
-    @abstractmethod
-    def first_step(self) -> float:
+    def first_step(self, state: S) -> float:
         """A step from here over which the inputs change little, in seconds; may be infinite."""
 
 
@@ -99,12 +123,16 @@ class Coupling(ABC):
         Whether communication points are placed on announced jumps.
     takes_tolerance : bool
         Whether its steps may be chosen by a tolerance.
+    latches : bool
+        Whether driven inputs keep their values over communication points, rather than taking
+        those of their sources there.
     """
 
     name: ClassVar[str]
     needs_derivatives: ClassVar[bool]
     lands_on_events: ClassVar[bool]
     takes_tolerance: ClassVar[bool]
+    latches: ClassVar[bool]
 
     @property
     @abstractmethod
@@ -112,19 +140,15 @@ class Coupling(ABC):
         """Whether a step is repeated from saved states even where its length is fixed."""
 
     @property
+    @abstractmethod
     def periods(self) -> Mapping[str, float]:
         """Times between points that the coupling adds of its own, in seconds, by option."""
-        return {}
 
     @abstractmethod
-    def stepper(self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None) -> Stepper:
-        """This coupling at work on `ensemble`; an AdaptiveStepper where a tolerance is given.
-
-        Raises
-        ------
-        InvalidInput
-            The coupling knows no error estimate to hold against a tolerance.
-        """
+    def stepper(
+        self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
+    ) -> Stepper[Any]:
+        """This coupling at work on `ensemble`; an AdaptiveStepper where it takes a tolerance."""
 
 
 def refuse_tolerance(coupling: Coupling, tolerance: float | None) -> None:
@@ -141,3 +165,55 @@ def refuse_tolerance(coupling: Coupling, tolerance: float | None) -> None:
             f"coupling '{coupling.name}' takes a fixed step; with a tolerance use 'hermite' or "
             "'derivative'"
         )
+
+
+class Watch:
+    """The largest distance of a link's value from where its held or extrapolated input was.
+
+    It collects steps and looks at many together, since a Python loop pays for each array operation.
+
+    Parameters
+    ----------
+    nominal : array, shape (L,)
+    extrapolated : bool
+        Whether inputs follow their derivative, rather than being held.
+    """
+
+    def __init__(self, nominal: Floats, *, extrapolated: bool) -> None:
+        self._nominal = nominal
+        # What inputs start a step from: values, and derivatives where they follow them.
+        shape = (2, len(nominal)) if extrapolated else (len(nominal),)
+        self._rows: Floats = np.zeros((WATCHED_ROWS, *shape))
+        self._extrapolated = extrapolated
+        self._times: list[float] = []
+        self._largest = 0.0
+
+    def row(self, time: float) -> Floats:
+        """A row for what inputs start the next step from, shape (L,) or (2, L), to be filled."""
+        count = len(self._times)
+        if count == WATCHED_ROWS:
+            self._evaluate()
+            count = 1
+        self._times.append(time)
+        row: Floats = self._rows[count]
+        return row
+
+    def largest(self) -> float:
+        """Relative to the link's nominal value plus its size."""
+        self._evaluate()
+        return self._largest
+
+    def _evaluate(self) -> None:
+        """Look at the collected steps; the last row begins the next batch."""
+        count = len(self._times)
+        rows = self._rows[:count]
+        values = rows[:, 0] if self._extrapolated else rows
+        if count > 1 and values.size:
+            change = np.diff(values, axis=0)
+            if self._extrapolated:
+                change -= np.diff(self._times)[:, None] * rows[:-1, 1]
+            relative = np.abs(change) / (self._nominal + np.abs(values[1:]))
+            self._largest = max(self._largest, float(relative.max()))
+        if count:
+            self._rows[0] = rows[-1]
+            self._times = self._times[-1:]

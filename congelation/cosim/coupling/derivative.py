@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.coupling.base import AdaptiveStepper, Coupling
-from congelation.cosim.coupling.ends import Ends
-from congelation.cosim.coupling.monitor import Watch
+from congelation.cosim.coupling.base import AdaptiveStepper, Coupling, Trial, Watch
+from congelation.cosim.coupling.points import LinkReader, Points
 from congelation.cosim.coupling.polynomial import hermite
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
-from congelation.cosim.states import Checkpoint
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 
@@ -25,6 +23,8 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 SEQUENCES = ("gauss_seidel", "jacobi")
+
+ORDER = 2
 
 FIRST_CHANGE = 1e-2
 """Share of its size by which an input may change over the first step that is tried."""
@@ -51,6 +51,7 @@ class Derivative(Coupling):
     needs_derivatives: ClassVar[bool] = True
     lands_on_events: ClassVar[bool] = True
     takes_tolerance: ClassVar[bool] = True
+    latches: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if self.sequence not in SEQUENCES:
@@ -61,136 +62,104 @@ class Derivative(Coupling):
         """No step is repeated."""
         return False
 
+    @property
+    def periods(self) -> Mapping[str, float]:
+        """None."""
+        return {}
+
     def stepper(
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
-    ) -> AdaptiveStepper:
+    ) -> AdaptiveStepper[Points]:
         """This coupling at work."""
-        checkpoint = Checkpoint(ensemble.slaves) if tolerance is not None else None
-        return _DerivativeStepper(ensemble, exchange, self.sequence == "gauss_seidel", checkpoint)
+        return _DerivativeStepper(ensemble, exchange, self, takes_back=tolerance is not None)
 
 
-class _Interpolation:
-    """Polynomials between both ends of a step.
-
-    Parameters
-    ----------
-    cubic, linear : boolean arrays, shape (L,)
-        Links that take three derivatives, and those that take fewer.
-    """
-
-    def __init__(self, cubic: Mask, linear: Mask) -> None:
-        self._cubic, self._linear = cubic, linear
-        self._has_cubic, self._has_linear = bool(cubic.any()), bool(linear.any())
-
-    def fill(self, C: Floats, w: Floats, length: float) -> None:
-        """Set the columns of these links in C, from w = (v0, d0, v1, d1)."""
-        if self._has_cubic:
-            np.copyto(C, hermite(length).dot(w), where=self._cubic)
-        if self._has_linear:
-            np.copyto(C[1], (w[2] - w[0]) / length, where=self._linear)
-
-
-class _DerivativeStepper(AdaptiveStepper):
-    order = 2
-
+class _DerivativeStepper(AdaptiveStepper[Points]):
     def __init__(
-        self,
-        ensemble: Ensemble,
-        exchange: Exchange,
-        sequential: bool,
-        checkpoint: Checkpoint | None,
+        self, ensemble: Ensemble, exchange: Exchange, coupling: Derivative, *, takes_back: bool
     ) -> None:
         self._ensemble = ensemble
         self._exchange = exchange
-        self._sequential = sequential
-        self._checkpoint = checkpoint
-        self._is_saved = False
-        self._ends = Ends(ensemble)
+        self._reader = LinkReader(ensemble)
+        self._sequential = coupling.sequence == "gauss_seidel"
+        # fmi2DoStep's noSetFMUStatePriorToCurrentPoint.
+        self._no_return = int(not takes_back)
+        self._watches = not takes_back
         # Loops are solved at every communication point; for plain feedthrough the sequence of
         # the slaves already carries the values over.
-        self._exchanges = bool(exchange.loops) or (exchange.feedthrough and not sequential)
-        self._ahead = [
-            self._interpolation([k.source < k.target == m for k in ensemble.inputs.links])
-            for m in range(len(ensemble.slaves))
-        ]
-        self._watch = Watch(ensemble, extrapolated=True)
-        self._calls_per_sweep = ensemble.calls_per_sweep
-        self._error = 0.0
-        self._worst = 0
-        self.sweeps = 0
-        self.estimated_error = 0.0
+        self._exchanges = bool(exchange.loops) or (exchange.feedthrough and not self._sequential)
+        self._ahead = [self._interpolated(m) for m in range(len(ensemble.slaves))]
+        self._watch = Watch(ensemble.nominal, extrapolated=True)
+        self.iterations = 0
+        self.calls_per_iteration = (
+            sum(ensemble.write_calls) + len(ensemble.slaves) + sum(ensemble.read_calls)
+        )
 
-    def _interpolation(self, stepped: Sequence[bool]) -> _Interpolation | None:
-        """How to interpolate links whose sources have stepped already."""
-        if not self._sequential or not any(stepped):
+    def _interpolated(self, m: int) -> tuple[Mask | None, Mask | None] | None:
+        """The links into slave m that can be interpolated, as their sources have stepped already:
+        those that take three derivatives, and those that take fewer."""
+        stepped = np.array([k.source < k.target == m for k in self._ensemble.links], bool)
+        if not self._sequential or not stepped.any():
             return None
-        cubic = self._ensemble.inputs.order == MAX_DERIVATIVE
-        return _Interpolation(np.array(stepped) & cubic, np.array(stepped) & ~cubic)
+        cubic = stepped & (self._ensemble.order == MAX_DERIVATIVE)
+        linear = stepped & ~cubic
+        return (cubic if cubic.any() else None), (linear if linear.any() else None)
 
-    def start(self, time: float) -> None:
-        self._ends.start(time)
-        self._is_saved = False
-        self._watch.extrapolated(time, self._ends.w[:2])
+    def start(self, time: float, before: Points | None) -> Points:
+        state = Points.begun(time, self._reader.start())
+        if self._watches:  # otherwise each trial has an error of its own
+            self._watch.row(time)[:] = state.now
+        return state
 
-    def advance(self, time: float, end: float) -> None:
-        self._step(time, end)
-        self.accept()
+    def advance(self, state: Points, time: float, end: float) -> Points:
+        state, _ = self._step(state, time, end)
+        self._watch.row(end)[:] = state.now
+        self._ensemble.copy_discrete()
+        return state
 
-    def attempt(self, time: float, end: float) -> float:
-        if self._checkpoint is not None and not self._is_saved:
-            self._checkpoint.save()
-            self._is_saved = True
-        self._step(time, end)
-        ends = self._ends
-        if ends.new.size:
-            distance = np.abs(ends.w[0] + (end - time) * ends.w[1] - ends.new[0])
-            relative = ends.relative(distance)
-            self._worst = int(relative.argmax())
-            self._error = float(relative[self._worst])
-        return self._error
+    def attempt(self, state: Points, time: float, end: float) -> Trial[Points]:
+        after, w = self._step(state, time, end)
+        values = after.now[0]
+        if not values.size:
+            return Trial(after, 0.0, ORDER, 0)
+        distance = np.abs(w[0] + (end - time) * w[1] - values)
+        relative = self._reader.relative(distance, values)
+        worst = int(relative.argmax())
+        return Trial(after, float(relative[worst]), ORDER, worst)
 
-    def _step(self, time: float, end: float) -> None:
-        ensemble, ends, C = self._ensemble, self._ends, self._ensemble.inputs.C
+    def _step(self, state: Points, time: float, end: float) -> tuple[Points, Floats]:
+        """The state at the end, and w = (v0, d0, v1, d1), shape (4, L), of which the first two
+        rows are what inputs were extrapolated from."""
+        ensemble, reader, C = self._ensemble, self._reader, self._ensemble.C
         length = end - time
-        ends.open(time, end)
-        C[:2] = ends.w[:2]
+        w = np.empty((4, C.shape[1]))
+        w[:2] = state.now
+        if reader.inexact.size:
+            w[1, reader.inexact] = state.predicted(time, reader.inexact)[1]
+        C[:2] = w[:2]
         C[2:] = 0.0
         for m, slave in enumerate(ensemble.slaves):
             ahead = self._ahead[m]
             if ahead is not None:
-                ends.read()
-                ends.set_ends(ends.new)
-                ahead.fill(C, ends.w, length)
-            ensemble.inputs.write[m]()
-            slave.step(time, length, self._checkpoint is None)
+                w[2:] = reader.end(state, end, w)
+                cubic, linear = ahead
+                if cubic is not None:
+                    np.copyto(C, hermite(length).dot(w), where=cubic)
+                if linear is not None:
+                    np.copyto(C[1], (w[2] - w[0]) / length, where=linear)
+            ensemble.write[m]()
+            slave.step(time, length, self._no_return)
             if self._sequential:
-                ensemble.outputs.read[m]()
+                ensemble.read[m]()
         if not self._sequential:
-            ensemble.outputs.read_all()
+            ensemble.read_all()
         if self._exchanges:
             self._exchange.run(end)
-        ends.read()
-        self.sweeps += 1
+        self.iterations += 1
+        return state.followed(end, reader.end(state, end, w)), w
 
-    def accept(self) -> None:
-        self._ends.close()
-        self._is_saved = False
-        self._watch.extrapolated(self._ends.end_time, self._ends.w[:2])
-        if self._ensemble.system.discrete_links:
-            self._ensemble.copy_discrete()
+    def first_step(self, state: Points) -> float:
+        return self._reader.time_scale(state.now) * FIRST_CHANGE
 
-    def reject(self) -> None:
-        if self._checkpoint is not None:
-            self._checkpoint.restore()
-
-    def worst(self) -> str:
-        return self._ensemble.inputs.links[self._worst].name
-
-    def first_step(self) -> float:
-        return self._ends.time_scale() * FIRST_CHANGE
-
-    def finish(self) -> None:
-        self._watch.flush()
-        self.estimated_error = self._watch.largest
-        saved = self._checkpoint.calls if self._checkpoint is not None else 0
-        self.calls = self.sweeps * self._calls_per_sweep + self._exchange.calls + saved
+    def largest_error(self) -> float:
+        return self._watch.largest()

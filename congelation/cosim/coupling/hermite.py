@@ -3,20 +3,27 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.coupling.base import AdaptiveStepper, Coupling
-from congelation.cosim.coupling.ends import Ends
-from congelation.cosim.coupling.feedback import Feedback
-from congelation.cosim.coupling.interpolant import HIGH, LOW, Interpolant
+from congelation.cosim.broyden import broyden_step, learnt
+from congelation.cosim.coupling.base import AdaptiveStepper, Coupling, Trial
+from congelation.cosim.coupling.interpolant import (
+    HIGH,
+    LOW,
+    Piece,
+    estimated_error,
+    opened,
+    order_of_longer_step,
+)
+from congelation.cosim.coupling.points import LinkReader, Points
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.result import RunEnded, Status
-from congelation.cosim.states import Checkpoint
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 from congelation.fmi.slave import StepDiscarded
@@ -28,7 +35,7 @@ Floats = npt.NDArray[np.float64]
 ACCELERATIONS = ("broyden", "none")
 
 SHARE_OF_TOLERANCE = 0.3
-"""Of a step's error tolerance, the part left to unfinished sweeps."""
+"""Of a step's error tolerance, the part left to unfinished iterations."""
 
 FIRST_CHANGE = 3e-2
 """Share of its size by which an input may change over the first step that is tried."""
@@ -38,12 +45,12 @@ FIRST_CHANGE = 3e-2
 class Hermite(Coupling):
     """Every input is the cubic through value and derivative of its source at both ends of a step.
 
-    The ends are first extrapolated, then found by sweeps: all slaves step in the declared order,
-    the outputs at the end give new polynomials, and the step is repeated from saved states until
-    the outputs change by less than a tolerance. Order 4. For a linear loop that is the
+    The ends are first extrapolated, then found by iterations: all slaves step in the declared
+    order, the outputs at the end give new polynomials, and the step is repeated from saved states
+    until the outputs change by less than a tolerance. Order 4. For a linear loop that is the
     two-derivative Obreshkov formula (Hairer, Norsett, Wanner, Solving Ordinary Differential
     Equations I, section III.5), whose stability function is the (2, 2) Pade approximation of the
-    exponential: as long as the sweeps converge, accuracy alone limits the step.
+    exponential: as long as the iterations converge, accuracy alone limits the step.
 
     Order 6 takes the point before the step as well: the cubic then has the first two moments of
     the quintic through all three points, which is what the states at the end of the step come
@@ -58,27 +65,28 @@ class Hermite(Coupling):
         4, 6, or None: 4 where steps are fixed; where they are chosen by a tolerance, whichever
         allows the longer step. The first step after a jump always has order 4. Order 6 is for
         inputs that take three derivatives, from sources that provide one.
-    sweeps : int or None
-        Exactly so many plain sweeps per step; with None, as many as it takes.
+    iterations : int or None
+        Exactly so many plain iterations per step; with None, as many as it takes.
     tolerance : float
-        Change at which sweeps end, relative to nominal value plus size. Where steps are chosen by a
-        tolerance, it is 0.3 times that one instead.
-    max_sweeps : int
+        Change at which iterations end, relative to nominal value plus size. Where steps are chosen
+        by a tolerance, it is 0.3 times that one instead.
+    max_iterations : int
         After these a step counts as not converged.
     acceleration : str
         "broyden": quasi-Newton steps on the inputs that are fed back, which converge where loop
-        gain times step is beyond 1; "none": plain sweeps.
+        gain times step is beyond 1; "none": plain iterations.
     """
 
     order: int | None = None
-    sweeps: int | None = None
+    iterations: int | None = None
     tolerance: float = 1e-9
-    max_sweeps: int = 12
+    max_iterations: int = 12
     acceleration: str = "broyden"
     name: ClassVar[str] = "hermite"
     needs_derivatives: ClassVar[bool] = True
     lands_on_events: ClassVar[bool] = True
     takes_tolerance: ClassVar[bool] = True
+    latches: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if self.acceleration not in ACCELERATIONS:
@@ -86,155 +94,250 @@ class Hermite(Coupling):
             raise InvalidInput(f"acceleration '{self.acceleration}'; valid: {valid}")
         if self.order not in (None, LOW, HIGH):
             raise InvalidInput(f"order {self.order}; valid: {LOW}, {HIGH}")
-        for name, value in (("sweeps", self.sweeps), ("max_sweeps", self.max_sweeps)):
+        for name in ("iterations", "max_iterations"):
+            value = getattr(self, name)
             if value is not None and value < 1:
                 raise InvalidInput(f"{name} {value}: at least 1 is needed")
         if not 0.0 < self.tolerance < 1.0:
             raise InvalidInput(
-                f"tolerance {self.tolerance:g} of the sweeps must lie between 0 and 1"
+                f"tolerance {self.tolerance:g} of the iterations must lie between 0 and 1"
             )
 
     @property
     def rolls_back(self) -> bool:
-        """Every sweep but the first repeats the step."""
-        return self.sweeps != 1
+        """Every iteration but the first repeats the step."""
+        return self.iterations != 1
+
+    @property
+    def periods(self) -> Mapping[str, float]:
+        """None."""
+        return {}
 
     def stepper(
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
-    ) -> AdaptiveStepper:
-        """This coupling at work."""
-        accuracy = self.tolerance if tolerance is None else SHARE_OF_TOLERANCE * tolerance
-        checkpoint = (
-            Checkpoint(ensemble.slaves) if self.rolls_back or tolerance is not None else None
-        )
-        ends = Ends(ensemble)
-        interpolant = self._interpolant(ensemble, ends, tolerance)
-        return _HermiteStepper(self, ensemble, exchange, ends, interpolant, accuracy, checkpoint)
+    ) -> AdaptiveStepper[HermiteState]:
+        """This coupling at work.
 
-    def _interpolant(self, ensemble: Ensemble, ends: Ends, tolerance: float | None) -> Interpolant:
-        unfit = ends.inexact | (ensemble.inputs.order < MAX_DERIVATIVE)
-        if self.order == HIGH and unfit.any():
-            link = ensemble.inputs.links[int(unfit.argmax())]
-            raise InvalidInput(
-                f"coupling '{self.name}': order {HIGH} needs a derivative of the source and an "
-                f"input that takes three; the connection {link.name} is without"
-            )
-        if self.order is not None:
-            return Interpolant(ends, self.order, None)
-        able = tolerance is not None and not unfit.any()
-        return Interpolant(ends, HIGH if able else LOW, tolerance)
+        Raises
+        ------
+        InvalidInput
+            Order 6 for a connection that cannot have it.
+        """
+        return _HermiteStepper(ensemble, self, tolerance)
 
 
-class _HermiteStepper(AdaptiveStepper):
-    def __init__(
-        self,
-        coupling: Hermite,
-        ensemble: Ensemble,
-        exchange: Exchange,
-        ends: Ends,
-        interpolant: Interpolant,
-        accuracy: float,
-        checkpoint: Checkpoint | None,
-    ) -> None:
-        self._coupling = coupling
+class HermiteState(NamedTuple):
+    """The state of `hermite` at a communication point.
+
+    Parameters
+    ----------
+    points : Points
+        What the links are and were.
+    order : int
+        LOW or HIGH: of the next step, if there is a point before it.
+    J : array, shape (n, n)
+        Approximate Jacobian of an iteration, see _Feedback.
+    length : float
+        The step for which J holds, in seconds; 0 where there is none yet.
+    """
+
+    points: Points
+    order: int
+    J: Floats
+    length: float
+
+
+class _Feedback:
+    """The links whose source steps after their target (or is the target): an iteration needs
+    their ends before it knows them.
+
+    The unknowns z of the iterations are value and derivative at the end of the step of each such
+    link, n in all, scaled by nominal value plus size, derivatives by that over the step length.
+
+    Attributes
+    ----------
+    start : integer array, shape (n / 2,)
+        The links.
+    given, found : integer arrays, shape (n,)
+        Places of the unknowns in the flattened data of a Piece, and of what an iteration makes of
+        them in the flattened ends that are read.
+    nominal : array, shape (n / 2,)
+    """
+
+    def __init__(self, ensemble: Ensemble) -> None:
+        back = [k for k, link in enumerate(ensemble.links) if link.source >= link.target]
+        count = len(ensemble.links)
+        self.start = np.array(back, np.intp)
+        self.given = np.array([row * count + k for row in (2, 3) for k in back], np.intp)
+        self.found = np.array([row * count + k for row in (0, 1) for k in back], np.intp)
+        self.nominal = ensemble.nominal[back]
+
+    def scales(self, data: Floats, length: float) -> Floats:
+        """Sizes of the unknowns, shape (n,)."""
+        scale = np.abs(data[0].take(self.start))
+        scale += self.nominal
+        return np.concatenate([scale, scale / length])
+
+    def worst(self, r: Floats) -> int:
+        """The link of the largest residual r, shape (n,)."""
+        return int(self.start[np.abs(r).reshape(2, -1).max(axis=0).argmax()])
+
+
+class _HermiteStepper(AdaptiveStepper[HermiteState]):
+    def __init__(self, ensemble: Ensemble, coupling: Hermite, tolerance: float | None) -> None:
         self._ensemble = ensemble
-        self._exchange = exchange
-        self._accuracy = accuracy
-        self._checkpoint = checkpoint
-        self._is_saved = False
-        self._ends = ends
-        self._interpolant = interpolant
-        self._feedback = Feedback(ensemble, self._ends, coupling.acceleration == "broyden")
-        links = ensemble.inputs.links
-        self._forward = [
-            np.array([link.source == m < link.target for link in links], bool)
-            for m in range(len(ensemble.slaves))
-        ]
-        self._feeds = [bool(mask.any()) for mask in self._forward]
-        order = ensemble.inputs.order
-        self._low = [np.flatnonzero(order == k) for k in range(3)]
-        self._is_low = any(part.size for part in self._low)
-        self._held = [bool((order[part] == 0).any()) for part in ensemble.inputs.columns]
-        self._calls_per_sweep = ensemble.calls_per_sweep + 2 * sum(self._held)
-        self._error = 0.0
-        self.sweeps = 0
-        self.estimated_error = 0.0
-        self.order = LOW
+        self._coupling = coupling
+        self._tolerance = tolerance
+        self._accuracy = coupling.tolerance if tolerance is None else SHARE_OF_TOLERANCE * tolerance
+        self._saves = coupling.rolls_back and tolerance is None
+        # fmi2DoStep's noSetFMUStatePriorToCurrentPoint.
+        self._no_return = int(not coupling.rolls_back and tolerance is None)
+        self._accelerates = coupling.acceleration == "broyden"
+        self._reader = LinkReader(ensemble)
+        self._highest = self._highest_order()
+        self._feedback = _Feedback(ensemble)
+        # Ends of inputs from slaves before their target are known once these have stepped, and
+        # enter the polynomials of the same iteration.
+        slaves, links = range(len(ensemble.slaves)), ensemble.links
+        forward = [np.array([k.source == m < k.target for k in links], bool) for m in slaves]
+        self._forward = [mask if mask.any() else None for mask in forward]
+        # Inputs that take fewer than three derivatives.
+        order = ensemble.order
+        self._held = [bool((order[columns] == 0).any()) for columns in ensemble.columns]
+        self._low = order == 0, order == 1, order == 2
+        self._is_low = bool((order < MAX_DERIVATIVE).any())
+        self._largest = 0.0
+        self.iterations = 0
+        self.calls_per_iteration = (
+            sum(ensemble.write_calls)
+            + len(ensemble.slaves)
+            + sum(ensemble.read_calls)
+            + 2 * sum(self._held)
+        )
 
-    def start(self, time: float) -> None:
-        self._ends.start(time)
-        self._interpolant.start(time)
-        self._is_saved = False
+    def _highest_order(self) -> int:
+        """The highest order that steps may have."""
+        unfit = self._ensemble.order < MAX_DERIVATIVE
+        unfit[self._reader.inexact] = True
+        wanted = self._coupling.order
+        if wanted == HIGH and unfit.any():
+            link = self._ensemble.links[int(unfit.argmax())]
+            raise InvalidInput(
+                f"coupling '{self._coupling.name}': order {HIGH} needs a derivative of the source "
+                f"and an input that takes three; the connection {link.name} is without"
+            )
+        if wanted is not None:
+            return wanted
+        return LOW if self._tolerance is None or unfit.any() else HIGH
 
-    def advance(self, time: float, end: float) -> None:
-        if not math.isfinite(self.attempt(time, end)):
+    def start(self, time: float, before: HermiteState | None) -> HermiteState:
+        points = Points.begun(time, self._reader.start())
+        if before is None:
+            count = len(self._feedback.given)
+            return HermiteState(points, self._highest, np.zeros((count, count)), 0.0)
+        # What was learnt of an iteration outlasts a jump.
+        return HermiteState(points, self._highest, before.J, before.length)
+
+    def advance(self, state: HermiteState, time: float, end: float) -> HermiteState:
+        if self._saves:
+            self._ensemble.save()
+        trial = self.attempt(state, time, end)
+        if not math.isfinite(trial.error):
             raise RunEnded(
                 Status.NOT_CONVERGED,
-                f"the step from t = {time:.9g} to {end:.9g}: sweeps left the connection "
-                f"{self.worst()} changing (at most {self._coupling.max_sweeps} are made)",
+                f"the step from t = {time:.9g} to {end:.9g}: iterations left the connection "
+                f"{self._ensemble.links[trial.worst].name} changing "
+                f"(at most {self._coupling.max_iterations} are made)",
             )
-        self.accept()
+        self._largest = max(self._largest, trial.error)
+        self._ensemble.copy_discrete()
+        return trial.state
 
-    def attempt(self, time: float, end: float) -> float:
-        if self._checkpoint is not None and not self._is_saved:
-            self._checkpoint.save()
-            self._is_saved = True
+    def attempt(self, state: HermiteState, time: float, end: float) -> Trial[HermiteState]:
+        """Iterate until the ends that are fed back settle."""
+        coupling, feedback = self._coupling, self._feedback
         length = end - time
-        self._ends.open(time, end)
-        self._interpolant.open()
-        self._feedback.open(length)
-        converged = self._sweeps(time, length)
-        self._error = self._interpolant.error() if converged else math.inf
-        self.order = self._interpolant.order
-        return self._error
-
-    def _sweeps(self, time: float, length: float) -> bool:
-        """Sweep until the ends that are fed back settle; whether they did."""
-        wanted, most = self._coupling.sweeps, self._coupling.max_sweeps
-        for count in range(1, (wanted or most) + 1):
-            if count > 1 and self._checkpoint is not None:
-                self._checkpoint.restore()
+        piece = opened(state.points, end, state.order, self._reader)
+        w = piece.data.reshape(-1)
+        scales = feedback.scales(piece.data, length)
+        # What an input's end does to an output grows with the step, to first order.
+        J = state.J * (length / state.length) if state.length > 0.0 else state.J
+        z_before = r_before = None
+        for count in range(1, (coupling.iterations or coupling.max_iterations) + 1):
+            if count > 1:
+                self._ensemble.restore()
             try:
-                self._sweep(time, length)
+                new = self._iterated(piece, state.points, time, end)
             except StepDiscarded:
-                # Not by the step itself, which the first sweep could make, but by where later
-                # sweeps have led.
-                if count == 1:
+                # Not by the step itself, which the first iteration could make, but by where later
+                # ones have led.
+                if z_before is None or r_before is None:
                     raise
-                return False
-            change = self._feedback.change()
+                return Trial(state, math.inf, LOW, feedback.worst(r_before))
+            g = new.reshape(-1).take(feedback.found)
+            given = w.take(feedback.given)
+            z, r = given / scales, (g - given) / scales
+            change = float(np.sqrt(r.dot(r)))
             if not math.isfinite(change):
                 if count == 1:
-                    self._ensemble.outputs.check(time + length)
-                return False
-            if wanted is not None:
-                self._feedback.take_over()
-            elif change <= self._accuracy:
-                return True
+                    self._ensemble.check(end)
+                return Trial(state, math.inf, LOW, feedback.worst(r))
+            accelerates = self._accelerates and len(z) > 0
+            if accelerates and z_before is not None and r_before is not None:
+                J = learnt(J, z - z_before, r - r_before)
+            z_before, r_before = z, r
+            if coupling.iterations is None and change <= self._accuracy:
+                break
+            if coupling.iterations is None and accelerates:
+                w[feedback.given] = (z + broyden_step(J, r)) * scales
             else:
-                self._feedback.improve()
-        return wanted is not None
+                w[feedback.given] = g
+        else:
+            if coupling.iterations is None:
+                return Trial(state, math.inf, LOW, feedback.worst(r))
+        points = state.points.followed(end, new)
+        if not new.size:
+            return Trial(HermiteState(points, self._highest, J, length), 0.0, LOW, 0)
+        distances = estimated_error(piece, state.points, end, new, high=self._highest == HIGH)
+        low, worst = self._relative(distances[0], new)
+        order, next_order = LOW, self._highest
+        error = low
+        if distances[1] is not None:
+            high, high_worst = self._relative(distances[1], new)
+            if self._tolerance is not None and coupling.order is None:
+                next_order = order_of_longer_step(low / self._tolerance, high / self._tolerance)
+            if state.order == HIGH:
+                error, order, worst = high, HIGH, high_worst
+        return Trial(HermiteState(points, next_order, J, length), error, order, worst)
 
-    def _sweep(self, time: float, length: float) -> None:
-        """All slaves once over the step, with the inputs' ends as they are known by now."""
-        ensemble, ends = self._ensemble, self._ends
+    def _iterated(self, piece: Piece, points: Points, time: float, end: float) -> Floats:
+        """All slaves once over the step, with the inputs' ends as they are known by now; values
+        and derivatives at the end, shape (2, L)."""
+        ensemble, length = self._ensemble, end - time
         for m, slave in enumerate(ensemble.slaves):
-            self._interpolant.coefficients(ensemble.inputs.C)
+            np.dot(piece.matrix, piece.data, out=ensemble.C)
             if self._is_low:
-                self._lower(length)
-            ensemble.inputs.write[m]()
-            slave.step(time, length, self._checkpoint is None)
-            ensemble.outputs.read[m]()
+                self._lower(piece.data, length)
+            ensemble.write[m]()
+            slave.step(time, length, self._no_return)
+            ensemble.read[m]()
             if self._held[m]:
-                self._reach_end(m)
-            ends.read()
-            if self._feeds[m]:
-                np.copyto(ends.w[2:], ends.new, where=self._forward[m])
-        self.sweeps += 1
+                # Outputs for the inputs' values at the end, not those held over the step.
+                ensemble.C[0] = piece.data[2]
+                ensemble.C[1:] = 0.0
+                ensemble.write[m]()
+                ensemble.read[m]()
+            new = self._reader.end(points, end, piece.data)
+            forward = self._forward[m]
+            if forward is not None:
+                np.copyto(piece.data[2:4], new, where=forward)
+        self.iterations += 1
+        return new
 
-    def _lower(self, length: float) -> None:
-        """Polynomials for inputs that take fewer than three derivatives."""
-        C, w = self._ensemble.inputs.C, self._ends.w
+    def _lower(self, w: Floats, length: float) -> None:
+        """Polynomials for inputs that take fewer than three derivatives: the cubic's mean, the
+        chord, and the parabola through both ends and the first derivative."""
+        C = self._ensemble.C
         held, linear, quadratic = self._low
         mean = (w[0] + w[2]) / 2.0 + (w[1] - w[3]) * (length / 12.0)
         C[0, held] = mean[held]
@@ -242,35 +345,14 @@ class _HermiteStepper(AdaptiveStepper):
         rise = w[2, quadratic] - w[0, quadratic] - length * w[1, quadratic]
         C[2, quadratic] = 2.0 * rise / length**2
 
-    def _reach_end(self, m: int) -> None:
-        """Outputs of a slave with held inputs, for the inputs' values at the end of the step."""
-        ensemble = self._ensemble
-        ensemble.inputs.C[0] = self._ends.w[2]
-        ensemble.inputs.C[1:] = 0.0
-        ensemble.inputs.write[m]()
-        ensemble.outputs.read[m]()
+    def _relative(self, distance: Floats, new: Floats) -> tuple[float, int]:
+        """The largest of distances, shape (L,), relative to nominal value plus size; and whose."""
+        relative = self._reader.relative(distance, new[0])
+        worst = int(relative.argmax())
+        return float(relative[worst]), worst
 
-    def accept(self) -> None:
-        self._ends.close()
-        self._interpolant.close()
-        self._is_saved = False
-        self.estimated_error = max(self.estimated_error, self._error)
-        if self._ensemble.system.discrete_links:
-            self._ensemble.copy_discrete()
+    def first_step(self, state: HermiteState) -> float:
+        return self._reader.time_scale(state.points.now) * FIRST_CHANGE
 
-    def reject(self) -> None:
-        self._feedback.undo()
-        if self._checkpoint is not None:
-            self._checkpoint.restore()
-
-    def worst(self) -> str:
-        if math.isfinite(self._error):
-            return self._ensemble.inputs.links[self._interpolant.worst].name
-        return self._feedback.worst()
-
-    def first_step(self) -> float:
-        return self._ends.time_scale() * FIRST_CHANGE
-
-    def finish(self) -> None:
-        saved = self._checkpoint.calls if self._checkpoint is not None else 0
-        self.calls = self.sweeps * self._calls_per_sweep + self._exchange.calls + saved
+    def largest_error(self) -> float:
+        return self._largest

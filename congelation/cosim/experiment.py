@@ -1,0 +1,190 @@
+"""What to do with a system: times, steps, coupling, and what is kept."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from congelation.cosim.coupling import Coupling, make_coupling, refuse_tolerance
+from congelation.cosim.recording import Output
+from congelation.cosim.system import ResolvedSystem
+from congelation.errors import InvalidInput
+
+__all__ = ["Experiment", "require_abilities", "require_resolved_periods", "step_count"]
+
+RESOLVED = 16.0
+"""Units in the last place of time that the shortest period takes."""
+
+MOST_POINTS = 1e12
+"""Of one kind in a run: so many take months."""
+
+GRID_ROUNDING = 1e-12
+"""A horizon this near to a whole number of steps, relative, is taken to be one."""
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """One run of a system, as plain data.
+
+    Parameters
+    ----------
+    stop_time : float
+        Seconds. The last step is shortened to end there exactly.
+    record : tuple of str, optional
+        Names ``component.variable``; a vector's name stands for its elements. None: every number
+        among the outputs, der(.) and next_event left out.
+    start_time : float
+        Seconds.
+    step : float, optional
+        Communication step h in seconds: communication points are t_0 + k h. With a tolerance it is
+        the first step that is tried.
+    tolerance : float, optional
+        Steps are chosen so that, while an FMU steps, each of its inputs stays this near to the
+        output that drives it, relative to the output's nominal value plus its size.
+    coupling : str or Coupling
+        How inputs move between communication points: a name in
+        `congelation.cosim.coupling.COUPLINGS`, or an instance.
+    options : mapping
+        Options of a coupling given by its name.
+    slave_tolerance : float, optional
+        Relative tolerance of the integration inside the FMUs (fmi2SetupExperiment). None: a tenth
+        of `tolerance`, and without one that of the FMUs.
+    output_interval : float, optional
+        Seconds between recorded rows, whatever the steps; else every communication point is one.
+    output_every : int, optional
+        Every how many communication points a row is recorded; not with an interval.
+
+    Raises
+    ------
+    InvalidInput
+        Times, steps or tolerances that no run can have, an unknown coupling, an option that the
+        coupling does not have. That the coupling takes the tolerance is checked when the experiment
+        is performed: of two variants that change both, each alone need not fit.
+    """
+
+    stop_time: float
+    record: tuple[str, ...] | None = None
+    start_time: float = 0.0
+    step: float | None = None
+    tolerance: float | None = None
+    coupling: str | Coupling = "derivative"
+    options: Mapping[str, object] = field(default_factory=dict)
+    slave_tolerance: float | None = None
+    output_interval: float | None = None
+    output_every: int | None = None
+
+    def __post_init__(self) -> None:
+        start, stop = self.start_time, self.stop_time
+        if not (math.isfinite(stop - start) and stop > start):
+            raise InvalidInput(f"stop_time {stop:g} must be finite and after start_time {start:g}")
+        if self.step is None and self.tolerance is None:
+            raise InvalidInput("give a communication step or a tolerance")
+        if self.tolerance is not None and not 0.0 < self.tolerance < 1.0:
+            raise InvalidInput(f"tolerance {self.tolerance:g} must lie between 0 and 1")
+        if self.options and not isinstance(self.coupling, str):
+            raise InvalidInput(
+                "options go with the name of a coupling; this one has its own already"
+            )
+        self.chosen_coupling  # noqa: B018  # refuses what is unknown
+
+    @property
+    def chosen_coupling(self) -> Coupling:
+        """The coupling itself.
+
+        Raises
+        ------
+        InvalidInput
+            An unknown name or option.
+        """
+        if isinstance(self.coupling, str):
+            return make_coupling(self.coupling, self.options)
+        return self.coupling
+
+    @property
+    def output(self) -> Output | None:
+        """What to record, where it is not every communication point."""
+        if self.output_interval is not None:
+            return Output(interval=self.output_interval)
+        return None if self.output_every is None else Output(every=self.output_every)
+
+
+def step_count(start: float, stop: float, step: float) -> int:
+    """Steps of length `step` from start to stop, the last one possibly shorter."""
+    ratio = (stop - start) / step
+    return round(ratio) if divides(start, stop, step) else math.ceil(ratio)
+
+
+def divides(start: float, stop: float, step: float) -> bool:
+    """Whether the horizon is a whole number of steps, up to rounding."""
+    ratio = (stop - start) / step
+    return round(ratio) >= 1 and abs(ratio - round(ratio)) <= GRID_ROUNDING * ratio
+
+
+def require_resolved_periods(experiment: Experiment, outputs: Sequence[Output]) -> None:
+    """Refuse what would make more points than a run can have, or than times can tell apart.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    start, stop = experiment.start_time, experiment.stop_time
+    periods = [("step", experiment.step), *experiment.chosen_coupling.periods.items()]
+    periods += [("output interval", output.interval) for output in outputs]
+    for name, period in periods:
+        if period is None:
+            continue
+        if not (math.isfinite(period) and period > 0.0):
+            raise InvalidInput(f"{name} {period:g} must be positive and finite, in seconds")
+        smallest = max(
+            RESOLVED * math.ulp(max(abs(start), abs(stop))), (stop - start) / MOST_POINTS
+        )
+        if period < smallest:
+            raise InvalidInput(
+                f"{name} {period:g} is too small from {start:g} to {stop:g}; it is at least "
+                f"{smallest:.2g} there, in seconds"
+            )
+
+
+def require_abilities(system: ResolvedSystem, experiment: Experiment) -> None:
+    """Refuse a coupling or FMUs that cannot do what the run asks of them.
+
+    Raises
+    ------
+    InvalidInput
+        Names the component, the purpose and what to use instead.
+    """
+    coupling, step, tolerance = (
+        experiment.chosen_coupling,
+        experiment.step,
+        experiment.tolerance,
+    )
+    refuse_tolerance(coupling, tolerance)
+    purpose = None
+    if tolerance is not None:
+        purpose = "a tolerance (steps are taken back)"
+    elif coupling.rolls_back:
+        purpose = f"the coupling '{coupling.name}' (steps are repeated)"
+    # Steps have one length unless they are chosen, or one is cut at the end or by the coupling.
+    varies = tolerance is not None or (
+        step is not None
+        and not (
+            divides(experiment.start_time, experiment.stop_time, step)
+            and all(
+                divides(0.0, max(step, period), min(step, period))
+                for period in coupling.periods.values()
+            )
+        )
+    )
+    for member in system.members:
+        fmu = f"component '{member.name}': {member.description.path.name}"
+        if purpose is not None and not member.description.can_get_and_set_state:
+            raise InvalidInput(
+                f"{fmu} cannot get and set its state, which {purpose} needs; use the coupling "
+                "'derivative' with a fixed step"
+            )
+        if varies and not member.description.can_vary_step:
+            raise InvalidInput(
+                f"{fmu} takes steps of one length only; give no tolerance, and a step that divides "
+                "the horizon and whatever the coupling samples"
+            )

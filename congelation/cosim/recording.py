@@ -1,0 +1,440 @@
+"""What is kept of a run: which rows, and where.
+
+Output      which rows (every n-th communication point, or a grid of its own), and their sink
+Sink        takes blocks of rows: Memory, ParquetFile
+Recorder    fills blocks and hands them to a sink
+Rows        takes the communication points of a run and records rows: EveryStep, OutputGrid
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from errno import EISDIR
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow
+import pyarrow.parquet
+
+from congelation.cosim.coupling.polynomial import differentiation, interpolation
+from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.system import Recorded
+from congelation.errors import InvalidInput
+
+__all__ = ["BLOCK_ROWS", "Columns", "Memory", "Output", "ParquetFile", "Recorder", "Rows", "Sink"]
+
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+
+BLOCK_ROWS = 8192
+"""Rows per block: large enough that starting one costs nothing, small in memory."""
+
+NODES = 6
+"""Values without derivatives are interpolated by quintics, through three points on either side."""
+
+SMOOTH_NODES = 3
+"""Values with derivatives as well: the order is that of the coupling of the highest order."""
+
+GRID_ROUNDING = 1e-9
+"""A communication point this near to a grid point, in grid intervals, is taken for it."""
+
+
+@dataclass(frozen=True)
+class Output:
+    """Which rows of a run are recorded, and where to.
+
+    Parameters
+    ----------
+    every : int
+        Record every so many communication points (and the first, the jumps and the last).
+    interval : float, optional
+        Record at t_0 + k * interval, in seconds, and at the last point instead, interpolating
+        between communication points. It cannot be combined with `every`.
+    sink : Sink, optional
+        Takes the rows block by block, for instance a ParquetFile; without one they are kept in
+        memory.
+    """
+
+    every: int = 1
+    interval: float | None = None
+    sink: Sink | None = None
+
+    def __post_init__(self) -> None:
+        if self.every < 1:
+            raise InvalidInput(f"every {self.every}: at least 1 is needed")
+        if self.interval is not None and self.every != 1:
+            raise InvalidInput("every and interval: give one of the two")
+
+    def rows(self, columns: Columns, recorder: Recorder) -> Rows:
+        """What records these rows."""
+        if self.interval is not None:
+            return OutputGrid(columns, recorder, self.interval)
+        return EveryStep(columns, recorder, self.every)
+
+
+class Sink(ABC):
+    """Takes the blocks of a run."""
+
+    @abstractmethod
+    def open(self, columns: Sequence[str]) -> None:
+        """Get ready for blocks with these columns, "time" being the first."""
+
+    @abstractmethod
+    def write(self, block: Floats) -> None:
+        """Take a block, shape (n, len(columns)), which may be kept."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """No block will follow."""
+
+    @abstractmethod
+    def abandon(self) -> None:
+        """The run was broken off by an exception."""
+
+
+class Memory(Sink):
+    """Keeps every block."""
+
+    def __init__(self) -> None:
+        self._blocks: list[Floats] = []
+
+    def open(self, columns: Sequence[str]) -> None:
+        """Begin with nothing."""
+        self._blocks = [np.empty((0, len(columns)))]
+
+    def write(self, block: Floats) -> None:
+        """Keep a block."""
+        self._blocks.append(block)
+
+    def close(self) -> None:
+        """Nothing is left to do."""
+
+    def abandon(self) -> None:
+        """Nothing is left to do."""
+
+    def rows(self) -> Floats:
+        """All rows, shape (N, len(columns))."""
+        return np.concatenate(self._blocks)
+
+
+class ParquetFile(Sink):
+    """Writes each block to a Parquet file as a row group, so memory stays the same however long
+    the run.
+
+    The file appears under its name when it is complete; until then it is called "<name>.part".
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = Path(path)
+        self._part = self.path.with_name(self.path.name + ".part")
+
+    def open(self, columns: Sequence[str]) -> None:
+        """Create the file.
+
+        Raises
+        ------
+        InvalidInput
+            It cannot be written there.
+        """
+        self._schema = pyarrow.schema([(name, pyarrow.float64()) for name in columns])
+        try:
+            if self.path.is_dir():
+                raise IsADirectoryError(EISDIR, "it is a directory")
+            self._writer = pyarrow.parquet.ParquetWriter(self._part, self._schema)
+        except OSError as error:
+            raise InvalidInput(f"{self.path} cannot be written: {error.strerror}") from error
+
+    def write(self, block: Floats) -> None:
+        """Write a row group."""
+        if len(block):
+            columns = [pyarrow.array(column) for column in block.T]
+            self._writer.write_table(pyarrow.Table.from_arrays(columns, schema=self._schema))
+
+    def close(self) -> None:
+        """Complete the file and give it its name."""
+        self._writer.close()
+        self._part.replace(self.path)
+
+    def abandon(self) -> None:
+        """Complete what is there, but leave it under the name of a part."""
+        self._writer.close()
+
+
+class Recorder:
+    """Takes rows (time, values..) and hands full blocks to a sink.
+
+    Parameters
+    ----------
+    columns : sequence of str, length M
+        Names of the values.
+    sink : Sink
+        It is opened; leaving the recorder as a context closes it.
+
+    Attributes
+    ----------
+    last : array, shape (1 + M,) or (0,)
+        The newest row that was handed over; empty before the first.
+    """
+
+    def __init__(self, columns: Sequence[str], sink: Sink) -> None:
+        self._sink = sink
+        self._rows = 0
+        self._block = np.empty((BLOCK_ROWS, 1 + len(columns)))
+        self.last: Floats = np.empty(0)
+        sink.open(["time", *columns])
+
+    def row(self, time: float) -> Floats:
+        """A new row for `time`; its values, shape (M,), are for the caller to fill."""
+        if self._rows == BLOCK_ROWS:
+            self._hand_over()
+            self._block = np.empty_like(self._block)
+        row: Floats = self._block[self._rows]
+        self._rows += 1
+        row[0] = time
+        return row[1:]
+
+    def __enter__(self) -> Recorder:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Hand over what is left, and close the sink."""
+        self._hand_over()
+        if error is None:
+            self._sink.close()
+        else:
+            self._sink.abandon()
+
+    def _hand_over(self) -> None:
+        block = self._block[: self._rows]
+        if len(block):
+            self.last = block[-1].copy()
+            self._sink.write(block)
+        self._rows = 0
+
+
+class Columns:
+    """The recorded variables of an ensemble, found in its buffers.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    recorded : sequence of Recorded, length M
+    latched : bool
+        Whether driven inputs keep the values in C between communication points, rather than
+        those of their sources.
+
+    Attributes
+    ----------
+    smooth, slopes : integer arrays, shape (K,)
+        The columns whose derivatives are read, and where those stand in Y.
+    """
+
+    def __init__(self, ensemble: Ensemble, recorded: Sequence[Recorded], *, latched: bool) -> None:
+        self.ensemble = ensemble
+        self.width = len(recorded)
+        links = {(link.target, link.input.name): k for k, link in enumerate(ensemble.links)}
+        places, slopes = [], []
+        self._latched: list[tuple[int, int]] = []
+        self._slow: list[tuple[int, Recorded]] = []
+        for column, item in enumerate(recorded):
+            link = links.get((item.member, item.variable.name))
+            slope = NO_DERIVATIVE
+            if item.variable.type != "Real":
+                self._slow.append((column, item))
+                places.append(0)
+            elif link is not None and latched:
+                self._latched.append((column, link))
+                places.append(0)
+            elif link is not None:
+                # At a communication point a driven input has the value of its source.
+                places.append(int(ensemble.source[link]))
+                source = ensemble.links[link]
+                slope = ensemble.slope_place(source.source, source.output.name)
+            else:
+                places.append(ensemble.place(item.member, item.variable.name))
+                slope = ensemble.slope_place(item.member, item.variable.name)
+            slopes.append(slope)
+        self._places = np.array(places, np.intp)
+        every = np.array(slopes, np.intp)
+        self.smooth: Indices = np.flatnonzero(every != NO_DERIVATIVE)
+        self.slopes: Indices = every[self.smooth]
+
+    def fill(self, row: Floats) -> None:
+        """Write the recorded values, shape (M,), into `row`."""
+        ensemble = self.ensemble
+        if ensemble.Y.size:
+            ensemble.Y.take(self._places, out=row, mode="clip")
+        for column, link in self._latched:
+            row[column] = ensemble.C[0, link]
+        for column, item in self._slow:
+            slave = ensemble.slaves[item.member]
+            (value,) = slave.get_values(item.variable.type, [item.variable.reference])
+            row[column] = float(value)
+
+
+class Rows(ABC):
+    """Takes communication points as they are reached, and records rows."""
+
+    @abstractmethod
+    def start(self, time: float) -> None:
+        """The start time; outputs are read."""
+
+    @abstractmethod
+    def point(self, time: float) -> None:
+        """A communication point."""
+
+    @abstractmethod
+    def before_jump(self, time: float) -> None:
+        """The last point before a jump, with the values from the left."""
+
+    @abstractmethod
+    def after_jump(self, time: float) -> None:
+        """The jump, with the values from the right."""
+
+    @abstractmethod
+    def finish(self, time: float, *, completed: bool) -> None:
+        """Nothing will follow the point at `time`; what is read now counts only if `completed`."""
+
+
+class EveryStep(Rows):
+    """Every n-th communication point, the first, the jumps and the last.
+
+    Parameters
+    ----------
+    columns : Columns
+    recorder : Recorder
+    every : int
+        n.
+    """
+
+    def __init__(self, columns: Columns, recorder: Recorder, every: int) -> None:
+        self._columns = columns
+        self._recorder = recorder
+        self._every = every
+        self._left = 0
+
+    def start(self, time: float) -> None:
+        self._record(time)
+
+    def point(self, time: float) -> None:
+        if self._left:
+            self._left -= 1
+        else:
+            self._record(time)
+
+    def before_jump(self, time: float) -> None:
+        """The row of a jump holds the values from the right."""
+
+    def after_jump(self, time: float) -> None:
+        self._record(time)
+
+    def finish(self, time: float, *, completed: bool) -> None:
+        if completed and self._left < self._every - 1:
+            self._record(time)
+
+    def _record(self, time: float) -> None:
+        self._left = self._every - 1
+        self._columns.fill(self._recorder.row(time))
+
+
+class OutputGrid(Rows):
+    """The points t_0 + k dt and the last one, whatever the communication points are.
+
+    Between two communication points, a variable whose derivative is read follows the quintic
+    through values and derivatives at both and at a neighbour; any other the quintic through the
+    values at three points on either side, or the nearest there are. Jumps are not interpolated
+    across.
+
+    Parameters
+    ----------
+    columns : Columns
+    recorder : Recorder
+    interval : float
+        dt in seconds.
+    """
+
+    def __init__(self, columns: Columns, recorder: Recorder, interval: float) -> None:
+        self._columns = columns
+        self._recorder = recorder
+        self._interval = interval
+        self._first = 0.0
+        self._count = 0
+        self._times: list[float] = []
+        self._values: list[Floats] = []
+        self._derivatives: list[Floats] = []
+
+    def start(self, time: float) -> None:
+        self._first = time
+        self._begin(time)
+
+    def point(self, time: float) -> None:
+        self._add(time)
+        if len(self._times) == NODES:
+            # Two points late, so that an interval has its neighbours on the right.
+            self._emit(NODES // 2)
+
+    def before_jump(self, time: float) -> None:
+        if time > self._times[-1]:
+            self.point(time)
+        self._close()
+
+    def after_jump(self, time: float) -> None:
+        self._begin(time)
+
+    def finish(self, time: float, *, completed: bool) -> None:
+        self._close()
+        self._recorder.row(self._times[-1])[:] = self._values[-1]
+
+    def _begin(self, time: float) -> None:
+        self._times, self._values, self._derivatives = [], [], []
+        self._add(time)
+
+    def _add(self, time: float) -> None:
+        row = np.empty(self._columns.width)
+        self._columns.fill(row)
+        keep = NODES - 1
+        self._times = [*self._times[-keep:], time]
+        self._values = [*self._values[-keep:], row]
+        slopes = self._columns.ensemble.Y[self._columns.slopes]
+        self._derivatives = [*self._derivatives[-keep:], slopes]
+
+    def _close(self) -> None:
+        """What is left: nothing smooth follows on the right."""
+        self._emit(len(self._times) - 1)
+
+    def _grid_point(self) -> float:
+        return self._first + self._count * self._interval
+
+    def _emit(self, count: int) -> None:
+        """Rows at the grid points in the first `count` intervals that have none yet."""
+        for k in range(count):
+            end = self._times[k + 1] - GRID_ROUNDING * self._interval
+            while (time := self._grid_point()) < end:
+                self._recorder.row(time)[:] = self._at(time, k)
+                self._count += 1
+
+    def _at(self, time: float, k: int) -> Floats:
+        """The recorded values, shape (M,), at a time in interval k."""
+        if abs(time - self._times[k]) <= GRID_ROUNDING * self._interval:
+            return self._values[k]
+        weights, _ = differentiation(np.array(self._times), time)
+        row: Floats = weights @ np.array(self._values)
+        nodes = slice(max(k - 1, 0), max(k - 1, 0) + SMOOTH_NODES)
+        smooth = self._columns.smooth
+        values = [row[smooth] for row in self._values[nodes]]
+        weights, _ = interpolation(self._times[nodes], time)
+        row[smooth] = weights @ np.array([*values, *self._derivatives[nodes]])
+        return row
