@@ -17,8 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.master import simulate
-from congelation.cosim.output import Output
 from congelation.cosim.pool import SlavePool
+from congelation.cosim.recording import Output
 from congelation.cosim.system import Component, Connection, System
 from congelation.errors import CongelationError, InvalidInput
 from congelation.fmi.info import FmuInfo, fmu_info

@@ -207,9 +207,9 @@ def verify(system: System, result: Result) -> tuple[Deviation, ...]:
     >>> max(deviation.relative for deviation in cg.verify(system, result)) < 1e-4
     True
     """
-    horizon = Experiment(float(result.time[-1]), result.columns, float(result.time[0]))
+    horizon = Experiment(float(result.time[-1]), result.names, float(result.time[0]))
     found = reference(Case(system, horizon))
-    return _deviations(found, result.time, result.columns, result.values)
+    return _deviations(found, result.time, result.names, result.values)
 
 
 def _deviations(
