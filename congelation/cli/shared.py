@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import json
+import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from congelation.report.figures import draw, figure_names, save
 from congelation.report.summary import summarise
-from congelation.results.store import Store
+from congelation.results.figures import figure_names, save
+from congelation.results.results import Results
 
 __all__ = [
     "BAD_INPUT",
@@ -20,6 +22,7 @@ __all__ = [
     "as_status",
     "complain",
     "print_figures",
+    "print_json",
     "print_summary",
     "print_table",
 ]
@@ -57,15 +60,30 @@ def print_table(
         console.print(table)
 
 
-def print_summary(store: Store) -> None:
-    """The summary of a result directory."""
-    study = store.read()
+def print_summary(results: Results) -> None:
+    """The summary of the newest study of a result directory."""
+    study = results.study()
     summary = summarise(study)
     print_table(study.about["title"], summary.columns, summary.lines)
 
 
-def print_figures(store: Store) -> None:
+def print_figures(results: Results) -> None:
     """Draw the figures of a result directory, and say where they are."""
-    for name in figure_names(store):
-        for file in save(draw(store, name), store.root / "figures", name):
+    for name in figure_names(results.study()):
+        for file in save(results.plot(name), results.folder / "figures", name):
             print(file)
+
+
+def print_json(value: object) -> None:
+    """`value` as JSON, with nan as null and infinities as text."""
+    print(json.dumps(_plain(value), ensure_ascii=False, allow_nan=False))
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {str(key): _plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(entry) for entry in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(value)
+    return value

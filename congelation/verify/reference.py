@@ -24,7 +24,7 @@ from congelation.cosim.system import Component, System
 from congelation.errors import CongelationError, InvalidInput
 from congelation.export.forms import models_of
 from congelation.export.interface import start_names
-from congelation.results.records import Trajectory
+from congelation.results.record import Trajectory
 from congelation.scenario.scenario import Case
 from congelation.scenario.start_values import Scalar
 from congelation.signals import Profile

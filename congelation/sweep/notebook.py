@@ -1,0 +1,37 @@
+"""The progress of a study in a notebook."""
+
+from __future__ import annotations
+
+import sys
+import time
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from congelation.sweep.engine import Listener, Tally
+
+__all__ = ["notebook_progress"]
+
+PERIOD = 0.2
+"""Seconds between two changes of what is shown."""
+
+
+def notebook_progress() -> Listener | None:
+    """What shows progress in the notebook that runs this process; None where there is none."""
+    if "ipykernel" not in sys.modules:
+        return None
+    from IPython.display import HTML, display  # there with every kernel
+
+    handle = display(HTML(""), display_id=True)
+    shown = -PERIOD
+
+    def show(tally: Tally) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if now - shown < PERIOD and tally.done < tally.total:
+            return
+        shown = now
+        part = tally.done + tally.under_way
+        text = f"{tally.done} of {tally.total} runs, {tally.failed} failed"
+        handle.update(HTML(f'<progress value="{part}" max="{tally.total}"></progress> {text}'))
+
+    return show
