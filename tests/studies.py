@@ -7,20 +7,27 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 from congelation.cli import main
+from congelation.cosim.pool import SlavePool
+from congelation.results.record import Trajectory
 from congelation.results.results import Results
+from congelation.scenario.scenario import Scenario
+from congelation.sweep.execute import Outcome, execute
+from congelation.sweep.plan import plan_study
 from tests.scenarios import ROOT
 
 __all__ = [
     "COMMAND",
     "children",
     "command",
+    "done",
     "environment",
     "install",
     "is_alive",
@@ -93,6 +100,19 @@ def last_line(done: subprocess.CompletedProcess[str], code: int) -> str:
 def rows(out: Path, study: str | None = None) -> list[dict[str, Any]]:
     """The stored records by column, without what differs each time."""
     return [{**row, "wall_time": None} for row in Results(out, study).runs.rows()]
+
+
+def done(
+    scenario: Scenario, folder: Path, place: int = 0, settings: Mapping[str, Any] | None = None
+) -> tuple[Outcome, Trajectory]:
+    """A run of a plan done in this process, perhaps with other settings."""
+    plan = plan_study(scenario, folder, swept=scenario.sweep is not None, write=False)
+    (task,) = plan.tasks([place])
+    chosen = task if settings is None else replace(task, settings=settings)
+    job = replace(plan.job, folder=folder, trajectories=True)
+    with SlavePool() as pool:
+        outcome, _ = execute(job, chosen, pool, lambda fraction: None)
+    return outcome, plan.store.trajectory(task.run_id)
 
 
 def until(condition: Callable[[], bool], limit: float = 60.0) -> None:

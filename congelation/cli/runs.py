@@ -146,7 +146,8 @@ def sweep(
     else:
         print_summary(results)
         print(results.store.index)
-    _complain_of_failures(results.runs)
+    if _complain_of_failures(results.runs):
+        raise typer.Exit(FAILED)
 
 
 def export_ssp(
@@ -211,14 +212,15 @@ def _announce(plan: Plan, workers: Workers, *, measured: bool) -> None:
         raise typer.Exit(INTERRUPTED) from error
 
 
-def _complain_of_failures(records: Iterable[RunRecord]) -> None:
-    """Say how many runs failed, and how."""
+def _complain_of_failures(records: Iterable[RunRecord]) -> int:
+    """Say how many runs failed, and how; returns how many."""
     kinds = Counter(record.status for record in records)
     total = kinds.total()
     failed = total - kinds.pop(Status.COMPLETED.name, 0)
     if failed:
         counts = ", ".join(f"{count} {status}" for status, count in kinds.most_common())
         complain(f"{failed} of {total} runs failed ({counts})")
+    return failed
 
 
 def _complaints(records: Iterable[RunRecord]) -> Iterator[str]:

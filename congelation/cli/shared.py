@@ -12,7 +12,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from congelation.report.summary import summarise
-from congelation.results.figures import figure_names, save
+from congelation.results.figures import save
 from congelation.results.results import Results
 
 __all__ = [
@@ -69,7 +69,7 @@ def print_summary(results: Results) -> None:
 
 def print_figures(results: Results) -> None:
     """Draw the figures of a result directory, and say where they are."""
-    for name in figure_names(results.study()):
+    for name in results.figures():
         for file in save(results.plot(name), results.folder / "figures", name):
             print(file)
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 from congelation.cosim.result import Status
 from congelation.report.summary import Summary, metric_definitions, summarise
-from congelation.results.figures import figure_names
 from congelation.results.record import Study
 from congelation.results.results import Results
 from congelation.results.store import replace_whole
@@ -49,7 +48,7 @@ def write_html(results: Results, file: Path) -> None:
         If the file cannot be written.
     """
     study = results.study()
-    figures = [(name, _png(results.plot(name))) for name in figure_names(study)]
+    figures = [(name, _png(results.plot(name))) for name in results.figures()]
     page = "\n".join(_page(study, figures))
     replace_whole(file, lambda temporary: temporary.write_text(page, encoding="utf-8"))
 

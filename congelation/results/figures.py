@@ -30,7 +30,7 @@ if TYPE_CHECKING:  # Matplotlib takes half a second, which only commands that dr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "SETTINGS", "draw", "draw_panels", "figure_names", "save"]
+__all__ = ["FORMATS", "SETTINGS", "draw", "draw_panels", "save"]
 
 Array = npt.NDArray[np.float64]
 _Style = Literal["-"] | tuple[float, Sequence[float]]
@@ -90,11 +90,6 @@ class _Curve:
     time: Array
     values: Array
     unit: str
-
-
-def figure_names(study: Study) -> tuple[str, ...]:
-    """The names of the figures that a study defines; a sweep has none of its runs."""
-    return () if study.about["swept"] else tuple(str(f["name"]) for f in study.about["figures"])
 
 
 def draw(

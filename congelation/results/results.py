@@ -93,10 +93,8 @@ class Runs(Sequence[RunRecord]):
         if name not in self.columns:
             raise InvalidInput(f"'{name}' is no column; {nearest(name, self.columns)}")
         values = [row[name] for row in self._store.rows(self._study)]
-        if all(isinstance(value, bool) for value in values) or any(
-            isinstance(value, str) for value in values
-        ):
-            return np.array(values, dtype=object if None in values else None)
+        if any(isinstance(value, bool | str) for value in values):
+            return np.array(values, dtype=object)
         return np.array([np.nan if value is None else value for value in values])
 
     def __repr__(self) -> str:
@@ -185,6 +183,14 @@ class Results:
                 "to_pandas needs pandas; install it with: pip install congelation[pandas]"
             ) from error
         return pandas.DataFrame(list(self.runs.rows()), columns=list(self.runs.columns))
+
+    def figures(self) -> tuple[str, ...]:
+        """Names of the figures that can be drawn; none of a sweep, nor without trajectories."""
+        study = self.study()
+        kept = any(self.store.trajectory_file(run.run_id).is_file() for run in study.records)
+        if study.about["swept"] or not kept:
+            return ()
+        return tuple(str(figure["name"]) for figure in study.about["figures"])
 
     def plot(self, name: str | None = None) -> Figure:
         """A figure of the newest study, as Matplotlib's object.

@@ -19,7 +19,7 @@ import sqlite3
 import time
 from array import array
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
 
@@ -101,23 +101,21 @@ class Store:
         check_folder("results", self.root)
         check_folder("results", self.root / "trajectories")
         with self._errors():
+            if not self.database.is_file():
+                self._make_database()
             connection = sqlite3.connect(self.database, timeout=BUSY, isolation_level=None)
             connection.execute("PRAGMA journal_mode=WAL")
             connection.execute("PRAGMA synchronous=FULL")
-            _make_tables(connection)
         self._connection = connection
 
     def close(self) -> None:
         """Leave a directory that can also be read from a read-only file system."""
         if self._connection is None:
             return
-        try:
+        with suppress(sqlite3.OperationalError):  # another study writes; the last one will do it
             self._connection.execute("PRAGMA journal_mode=DELETE")
-        except sqlite3.OperationalError:  # another study writes into it; the last one will do it
-            pass
-        finally:
-            self._connection.close()
-            self._connection = None
+        self._connection.close()
+        self._connection = None
 
     def begin(self, study: str, about: Mapping[str, object]) -> None:
         """Let a study be the newest one of this directory, and the runs in its plan be its own."""
@@ -329,6 +327,16 @@ class Store:
                 "does not read; give another folder"
             )
 
+    def _make_database(self) -> None:
+        """Let the database appear with its tables, or leave it to another process to do so."""
+        temporary = self.root / f".runs.sqlite.{os.getpid()}.tmp"
+        with closing(sqlite3.connect(temporary)) as connection:
+            _make_tables(connection)
+            connection.commit()
+        with suppress(FileExistsError):
+            os.link(temporary, self.database)
+        temporary.unlink()
+
     def _reader(self) -> sqlite3.Connection:
         self._refuse_old()
         if not self.database.is_file():
@@ -490,7 +498,5 @@ def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
     except OSError as error:
         raise StoreError(f"{file} cannot be written: {error}") from error
     finally:
-        try:
+        with suppress(OSError):  # the error that brought us here says why; this one would hide it
             temporary.unlink(missing_ok=True)
-        except OSError:  # the error that brought us here says why; this one would only hide it
-            pass

@@ -292,7 +292,8 @@ class _Engine:
         self._done += 1
         self._failed += record.status != Status.COMPLETED.name
         if record.status == REFUSED:
-            self.refused = (self.refused[0] + 1, f"{task.variant}: {record.message}")
+            count, first = self.refused
+            self.refused = (count + 1, first or f"{task.variant}: {record.message}")
         if record.wall_time is not None:
             self._seconds += 0.2 * (record.wall_time - self._seconds)
 

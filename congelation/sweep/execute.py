@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from congelation.cosim.master import simulate
 from congelation.cosim.output import Output
@@ -19,9 +18,6 @@ from congelation.results.store import Store, trajectory_bytes
 from congelation.scenario.axes import Settings
 from congelation.scenario.scenario import Case, Scenario
 from congelation.verify.measure import Points, measure
-
-if TYPE_CHECKING:
-    from congelation.verify.reference import Deviation
 
 __all__ = [
     "ERROR",
@@ -147,7 +143,7 @@ def execute(
         outcome, trajectory = _simulated(job, task, pool, progress)
     except CongelationError as error:
         return Outcome(REFUSED, str(error)), None
-    except Exception as error:  # an error that did not reach the parent would end its workers
+    except (Exception, SystemExit) as error:  # whatever it is, the run is a row
         return Outcome(ERROR, f"{type(error).__name__}: {error}"), None
     if not job.trajectories:
         return outcome, None
@@ -175,6 +171,12 @@ def _simulated(
     length = experiment.stop_time - experiment.start_time
     if task.fraction < 1.0:
         experiment = replace(experiment, stop_time=experiment.start_time + task.fraction * length)
+    expected = None
+    if job.verify:
+        # Here, as it brings CasADi and scipy, which workers of other studies start without.
+        from congelation.verify.reference import compare, reference
+
+        expected = reference(replace(case, experiment=experiment))
     # Metrics are of every communication point, whatever rows are kept.
     output, points = experiment.output, Points(scenario.measured)
     apart = output is not None and bool(scenario.metrics)
@@ -198,12 +200,7 @@ def _simulated(
     measured_case = replace(case, experiment=experiment)
     metrics = measure(scenario.metrics, measured_case, points.with_rows(kept) if apart else kept)
     margins = [metrics[m.name] for m in scenario.metrics if m.metric == "lyapunov"]
-    deviations: tuple[Deviation, ...] = ()
-    if job.verify:
-        # Here, as it brings CasADi and scipy, which workers of other studies start without.
-        from congelation.verify.reference import compare, reference
-
-        deviations = compare(reference(measured_case), kept)
+    deviations = compare(expected, kept) if expected is not None else ()
     return replace(
         _outcome(result),
         metrics=metrics,

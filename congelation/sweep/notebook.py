@@ -19,7 +19,11 @@ def notebook_progress() -> Listener | None:
     """What shows progress in the notebook that runs this process; None where there is none."""
     if "ipykernel" not in sys.modules:
         return None
-    from IPython.display import HTML, display  # there with every kernel
+    from IPython import get_ipython  # there with every kernel
+    from IPython.display import HTML, display
+
+    if get_ipython() is None:  # the kernel's package is there, but runs nothing here
+        return None
 
     handle = display(HTML(""), display_id=True)
     shown = -PERIOD

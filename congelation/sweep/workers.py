@@ -18,6 +18,7 @@ import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
@@ -27,12 +28,13 @@ from types import ModuleType
 from typing import Any, ClassVar, NamedTuple, cast, final
 
 import psutil
-from pebble import ProcessFuture, ProcessPool
+from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
 from congelation.cosim.pool import SlavePool
 from congelation.errors import CongelationError
 from congelation.results.store import StoreError
 from congelation.sweep.execute import (
+    ERROR,
     TIMED_OUT,
     WORKER_DIED,
     Job,
@@ -165,6 +167,7 @@ class Local(Workers):
     do: Callable[..., tuple[Outcome, bytes | None]] = execute
     most: int = 16
     _pipes: dict[Connection, SpawnProcess] = field(default_factory=dict, init=False, repr=False)
+    _failed_starts: int = field(default=0, init=False, repr=False)
 
     def start(self, job: Job) -> None:
         context = SpawnContext()
@@ -180,12 +183,14 @@ class Local(Workers):
         self._batches: dict[int, _Batch] = {}
         self._doing: dict[Connection, int] = {}
         self._numbers = itertools.count()
-        self._failed_starts = 0
 
     def submit(self, tasks: Sequence[Task]) -> None:
         number = next(self._numbers)
         with _interrupts_held():  # a pool whose threads are only half started cannot be stopped
-            future = self._pool.schedule(_work, args=(number, tuple(tasks)))
+            try:
+                future = self._pool.schedule(_work, args=(number, tuple(tasks)))
+            except RuntimeError:  # a process died between two tasks; `events` starts a new pool
+                future = ProcessFuture()
         self._batches[number] = _Batch(list(tasks), future)
 
     def events(self) -> list[Event]:
@@ -201,6 +206,10 @@ class Local(Workers):
             if batch.begun is None and batch.future.done():
                 # Its process ended between taking the task and its first run, or the pool broke.
                 found += map(Unfinished, self._dropped(number))
+            elif batch.begun is not None and (error := _error(batch.future)) is not None:
+                run_id, outcome = batch.begun[0], Outcome(ERROR, f"{type(error).__name__}: {error}")
+                self._doing = {pipe: n for pipe, n in self._doing.items() if n != number}
+                found += [Lost(run_id, outcome), *map(Unfinished, self._dropped(number)[1:])]
             elif limit is not None and batch.begun is not None and now - batch.begun[1] > limit:
                 batch.timed_out = True
                 batch.future.cancel()  # ends the process, whatever it does
@@ -209,6 +218,7 @@ class Local(Workers):
         if self._batches and not self._pool.active:  # a process died in between two tasks
             for number in list(self._batches):
                 found += map(Unfinished, self._dropped(number))
+            self._failed_starts += 1
             self.stop()
             self.start(self._job)
         return found
@@ -280,6 +290,14 @@ class Local(Workers):
         batch = self._batches.pop(number)
         batch.future.cancel()  # Pebble would wait for ever for a process that ended by exit(0)
         return [task.run_id for task in batch.waiting]
+
+
+def _error(future: ProcessFuture[None]) -> BaseException | None:
+    """What ended a task whose process goes on, such as a record that cannot be sent."""
+    if not future.done() or future.cancelled():
+        return None
+    error = future.exception()
+    return None if isinstance(error, ProcessExpired | BrokenProcessPool) else error
 
 
 def _exit_code(process: SpawnProcess) -> int | None:
