@@ -147,6 +147,7 @@ class _Batch:
     future: ProcessFuture[None]
     begun: tuple[str, float] | None = None
     timed_out: bool = False
+    was_done: bool = False
 
 
 @final
@@ -203,10 +204,12 @@ class Local(Workers):
                 found += self._ended(pipe)
         now, limit = time.monotonic(), self._job.timeout
         for number, batch in list(self._batches.items()):
-            if batch.begun is None and batch.future.done():
+            # What was sent before the future was done is certainly read the next time.
+            was_done, batch.was_done = batch.was_done, batch.future.done()
+            if was_done and batch.begun is None:
                 # Its process ended between taking the task and its first run, or the pool broke.
                 found += map(Unfinished, self._dropped(number))
-            elif batch.begun is not None and (error := _error(batch.future)) is not None:
+            elif was_done and batch.begun is not None and (error := _error(batch.future)):
                 run_id, outcome = batch.begun[0], Outcome(ERROR, f"{type(error).__name__}: {error}")
                 self._doing = {pipe: n for pipe, n in self._doing.items() if n != number}
                 found += [Lost(run_id, outcome), *map(Unfinished, self._dropped(number)[1:])]
@@ -244,7 +247,9 @@ class Local(Workers):
 
     def _received(self, pipe: Connection, message: tuple[Any, ...]) -> list[Event]:
         kind, number, *rest = message
-        batch = self._batches[number]
+        batch = self._batches.get(number)
+        if batch is None:  # its runs have been given up
+            return []
         if kind == "begin":
             batch.begun = (rest[0], rest[1])
             self._doing[pipe] = number
