@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -65,7 +66,8 @@ def run(
     """Run all variants of a scenario: summary, trajectories and figures."""
     found = read(scenario)
     folder = result_folder(found, out)
-    plan = plan_study(found, folder, swept=False, verify=verify, timeout=_positive(timeout))
+    with _interrupts():
+        plan = plan_study(found, folder, swept=False, verify=verify, timeout=_positive(timeout))
     results = _carried_out(plan, Local(workers), progress)
     records = results.study().records
     if as_json:
@@ -125,16 +127,17 @@ def sweep(
     found = read(scenario)
     folder = result_folder(found, out)
     again = [as_status(status) for status in retry or ()]
-    plan = plan_study(
-        found,
-        folder,
-        swept=True,
-        resume=bool(resume or dry_run or again),
-        retry=again,
-        verify=verify,
-        timeout=_positive(timeout),
-        write=not dry_run,
-    )
+    with _interrupts():
+        plan = plan_study(
+            found,
+            folder,
+            swept=True,
+            resume=bool(resume or dry_run or again),
+            retry=again,
+            verify=verify,
+            timeout=_positive(timeout),
+            write=not dry_run,
+        )
     place = Local(workers or 1) if scheduler is None else Cluster(scheduler, ship=ship)
     if not as_json:
         _announce(plan, place, measured=dry_run or len(plan.missing) >= MEASURED)
@@ -165,6 +168,16 @@ def export_ssp(
     """Write a scenario as a system that other tools can open: SSP 1.0 with the FMUs inside."""
     write_ssp(load_scenario(scenario), file, variant, derivatives=derivatives)
     print(file)
+
+
+@contextmanager
+def _interrupts() -> Iterator[None]:
+    """End with one line on Ctrl-C before any run is done."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        complain("interrupted")
+        raise typer.Exit(INTERRUPTED) from error
 
 
 def _positive(timeout: float | None) -> float | None:
@@ -201,15 +214,13 @@ def _announce(plan: Plan, workers: Workers, *, measured: bool) -> None:
             )
     if not (measured and plan.missing):
         return
-    try:
-        print(estimate(plan, workers), flush=True)
-    except InvalidInput:
-        raise
-    except CongelationError as error:
-        print(f"no estimate: {error}", flush=True)
-    except KeyboardInterrupt as error:
-        complain("interrupted")
-        raise typer.Exit(INTERRUPTED) from error
+    with _interrupts():
+        try:
+            print(estimate(plan, workers), flush=True)
+        except InvalidInput:
+            raise
+        except CongelationError as error:
+            print(f"no estimate: {error}", flush=True)
 
 
 def _complain_of_failures(records: Iterable[RunRecord]) -> int:
