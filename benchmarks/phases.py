@@ -4,35 +4,34 @@ from __future__ import annotations
 
 import importlib
 import json
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
-from typing import Any, ParamSpec, TypeVar, final
+from typing import Any, ParamSpec, TypeVar
 
-from congelation.sweep.executors import Crew, Workers
+from congelation.sweep import execute
+from congelation.sweep.execute import Outcome
 
-__all__ = ["PHASES", "STEPPING", "TimedWorkers", "Timers", "read_runs"]
+__all__ = ["PHASES", "STEPPING", "Timers", "read_runs", "timed_execute"]
 
 P = ParamSpec("P")
 T = TypeVar("T")
 
 STEPPING = "the stepping loop"
 
-RUN = ("congelation.sweep.workers", "Worker.do", "everything else")
+RUN = ("congelation.sweep.execute", "execute", "everything else")
 PHASES = (
     ("congelation.cosim.master", "run_fixed", STEPPING),
     ("congelation.cosim.master", "run_adaptive", STEPPING),
     ("congelation.cosim.rows", "EveryStep.point", "recording rows"),
-    ("congelation.sweep.workers", "plan_run", "planning the run"),
+    ("congelation.scenario.scenario", "Scenario.case", "planning the run"),
     ("congelation.cosim.system", "System.resolve", "finding names, checking start values"),
     ("congelation.fmi.slave", "Slave.__init__", "instantiating the FMUs"),
     ("congelation.fmi.slave", "Slave.reset", "resetting the FMUs"),
     ("congelation.cosim.session", "Session.initialise", "initialising the FMUs"),
     ("congelation.sweep.execute", "measure", "metrics"),
-    ("congelation.results.store", "Store.write", "writing the row"),
+    ("congelation.sweep.execute", "trajectory_bytes", "writing the trajectory"),
     RUN,
 )
 """(module, function or method, what it does); time in one is not counted in the one around it."""
@@ -75,52 +74,18 @@ class Timers:
         return timed
 
 
-@final
-@dataclass(frozen=True)
-class TimedWorkers(Workers):
-    """Other workers, which also write what each run took to a file.
-
-    Parameters
-    ----------
-    workers : Workers
-    file : Path
-        Takes a line of JSON per run: seconds by phase.
-    """
-
-    workers: Workers
-    file: Path
-
-    def open(self) -> AbstractContextManager[Crew]:
-        return self._timed(self.workers.open())
-
-    def alone(self) -> AbstractContextManager[Crew]:
-        return self._timed(self.workers.alone())
-
-    @contextmanager
-    def _timed(self, opened: AbstractContextManager[Crew]) -> Iterator[Crew]:
-        with opened as crew:
-            yield Crew(_TimedExecutor(crew.executor, self.file), crew.size, crew.runs)
-
-
-class _TimedExecutor(Executor):
-    def __init__(self, executor: Executor, file: Path) -> None:
-        self._executor, self._file = executor, file
-
-    def submit(self, fn: Callable[P, T], /, *args: P.args, **kwargs: P.kwargs) -> Future[T]:
-        return self._executor.submit(_with_timers, self._file, fn, *args, **kwargs)
-
-
 _INSTALLED: list[Timers] = []
 """This process's timers, once they are there."""
 
 
-def _with_timers(file: Path, function: Callable[..., T], *args: Any, **kwargs: Any) -> T:
+def timed_execute(file: Path, *arguments: Any) -> tuple[Outcome, bytes | None]:
+    """`execute`, which also writes to a file what each run took: seconds by phase, as JSON."""
     if not _INSTALLED:
         timers = Timers()
         _INSTALLED.append(timers)
         for phase in PHASES:
             timers.install(*phase, after=_write(timers, file) if phase is RUN else None)
-    return function(*args, **kwargs)
+    return execute.execute(*arguments)
 
 
 def _write(timers: Timers, file: Path) -> Callable[[], None]:

@@ -14,17 +14,18 @@ import subprocess
 import sys
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter, process_time
 from typing import Any
 
-from benchmarks.phases import TimedWorkers, Timers, read_runs
+from benchmarks.phases import Timers, read_runs, timed_execute
 from congelation.scenario.axes import RandomAxis, Sweep
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
-from congelation.sweep.batch import Tally, run_sweep
-from congelation.sweep.executors import Processes, Workers
-from congelation.sweep.sweep_plan import plan_sweep
+from congelation.sweep.engine import Tally, carry_out
+from congelation.sweep.plan import plan_study
+from congelation.sweep.workers import Local
 
 __all__ = ["FRESH", "SWEEP", "Cost", "Job", "do", "elsewhere", "measured", "resident"]
 
@@ -163,14 +164,14 @@ def do(job: Job, folder: Path) -> dict[str, Any]:
 
         return {"runs": fresh_fmpy.sweep(job.scenario(), folder / "runs.csv")}
     begin = perf_counter()
-    plan = plan_sweep(job.scenario(), folder / RESULTS, resume=False)
+    plan = plan_study(job.scenario(), folder / RESULTS, swept=True)
     planned = perf_counter()
     timers = Timers()
-    timers.install("congelation.sweep.batch", "write_index", "index")
+    timers.install("congelation.results.store", "Store.export", "index")
     watch = _Watch(job.marks)
-    run_sweep(plan, workers=_workers(job, folder), progress=watch)
+    carry_out(plan, _workers(job, folder), watch)
     return {
-        "runs": len(plan.run_ids),
+        "runs": plan.total,
         "failed": watch.failed,
         "planning": planned - begin,
         "sweep": perf_counter() - planned,
@@ -182,9 +183,10 @@ def do(job: Job, folder: Path) -> dict[str, Any]:
     }
 
 
-def _workers(job: Job, folder: Path) -> Workers:
-    processes = Processes(job.workers)
-    return TimedWorkers(processes, folder / TIMED) if job.phases else processes
+def _workers(job: Job, folder: Path) -> Local:
+    if not job.phases:
+        return Local(job.workers)
+    return Local(job.workers, partial(timed_execute, folder / TIMED))
 
 
 class _Watch:

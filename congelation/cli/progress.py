@@ -1,23 +1,21 @@
-"""The progress of a sweep on stderr: a bar for people, lines of JSON for logs, or nothing."""
+"""The progress of a study on stderr: a bar for people, lines of JSON for logs, or nothing."""
 
 from __future__ import annotations
 
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from congelation.sweep.batch import Tally
-from congelation.sweep.sweep_plan import Plan
+from congelation.sweep.engine import Listener, Tally
+from congelation.sweep.plan import Plan
 
 __all__ = ["Form", "shown"]
-
-Listener = Callable[[Tally], None]
 
 PERIOD = 1.0
 """Seconds between two lines of JSON."""
@@ -33,15 +31,17 @@ class Form(StrEnum):
 
 @contextmanager
 def shown(plan: Plan, form: Form) -> Iterator[Listener | None]:
-    """Show what the listener hears."""
-    total = len(plan.run_ids)
-    before = Tally(total - len(plan.missing), total)
+    """What shows the progress of a study in some form."""
+    before = Tally(plan.total - len(plan.missing), plan.total)
     if form is Form.BAR:
         with _bar() as bar:
-            task = bar.add_task("", total=total, completed=before.done, failed=0, memory="0")
+            task = bar.add_task(
+                "", total=plan.total, completed=before.done, done=before.done, failed=0, memory="0"
+            )
             yield lambda tally: bar.update(
                 task,
-                completed=tally.done,
+                completed=tally.done + tally.under_way,
+                done=tally.done,
                 failed=tally.failed,
                 memory=f"{tally.memory / 1e6:.0f}",
             )
@@ -53,7 +53,7 @@ def shown(plan: Plan, form: Form) -> Iterator[Listener | None]:
 
 def _bar() -> Progress:
     return Progress(
-        TextColumn("{task.completed} of {task.total} runs, {task.fields[failed]} failed"),
+        TextColumn("{task.fields[done]} of {task.total} runs, {task.fields[failed]} failed"),
         BarColumn(),
         TaskProgressColumn(show_speed=True),
         TimeRemainingColumn(elapsed_when_finished=True),

@@ -8,25 +8,26 @@ from typing import Annotated
 
 import typer
 
-from congelation.cli.shared import as_status, print_figures, print_summary
+from congelation.cli.shared import as_status, print_figures, print_json, print_summary
 from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
 from congelation.places import check_file, check_folder
 from congelation.report.exchange import write_csv, write_mat
-from congelation.report.figures import save
 from congelation.report.html import write_html
 from congelation.report.pareto import draw_front, pareto_front
 from congelation.report.summary import number, summarise_groups
 from congelation.report.table import aligned
-from congelation.results.records import metrics_of, settings_of
-from congelation.results.store import Store
-from congelation.sweep.sweep_plan import FAILURES
+from congelation.results.figures import save
+from congelation.results.results import open_results
+from congelation.sweep.plan import FAILURES
 
 __all__ = ["export", "ls", "report", "show"]
 
 Directory = Annotated[
     Path, typer.Argument(metavar="DIR", help="Result directory.", show_default=False)
 ]
+
+Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 def report(
@@ -47,26 +48,27 @@ def report(
     ] = None,
 ) -> None:
     """Summarise a result directory and draw its figures, from stored results alone."""
-    store = _store(folder)
+    results = open_results(folder)
+    study = results.study()
     if html is not None:
         check_file("--html", html)
     if by:
-        summary = summarise_groups(store.read(), by)
+        summary = summarise_groups(study, by)
         header = [", ".join(by), *summary.columns]
         print(aligned(header, [[label, *cells] for label, cells in summary.lines]))
     if pareto:
-        front = pareto_front(store.read(), pareto)
+        front = pareto_front(study, pareto)
         if not front:
             raise InvalidInput(f"{folder}: no run has finite {' and '.join(pareto)}")
-        _print_rows(front)
+        _print_rows([run.row() for run in front])
         if len(pareto) == 2:
-            for file in save(draw_front(store.read(), pareto), store.root / "figures", "pareto"):
+            for file in save(draw_front(study, pareto), folder / "figures", "pareto"):
                 print(file)
     if not (by or pareto):
-        print_summary(store)
-    print_figures(store)
+        print_summary(results)
+    print_figures(results)
     if html is not None:
-        write_html(store, html)
+        write_html(results, html)
         print(html)
 
 
@@ -75,13 +77,18 @@ def ls(
     status: Annotated[
         str | None, typer.Option(help="Only runs that ended so.", show_default="all")
     ] = None,
+    as_json: Json = False,
 ) -> None:
-    """List the runs of a result directory, also while a sweep writes into it."""
+    """List the runs of a result directory, also while a study writes into it."""
     wanted = None if status is None else as_status(status)
     known = (Status.COMPLETED.name, *FAILURES)
     if wanted is not None and wanted not in known:
         raise InvalidInput(f"'{status}' is no status; valid: {', '.join(known)}")
-    _print_rows([row for row in _store(folder).rows() if wanted in (None, row["status"])])
+    rows = [r for r in open_results(folder).runs.rows() if wanted in (None, r["status"])]
+    if as_json:
+        print_json(rows)
+    else:
+        _print_rows(rows)
 
 
 def show(
@@ -89,13 +96,19 @@ def show(
     run_id: Annotated[
         str, typer.Argument(metavar="RUN_ID", help="Or its first digits.", show_default=False)
     ],
+    as_json: Json = False,
 ) -> None:
-    """Show one run: everything in its row, and where its trajectory is."""
-    store = _store(folder)
-    row = store.find(run_id)
-    file = store.trajectory_file(row["run_id"])
+    """Show one run: everything in its record, and where its trajectory is."""
+    results = open_results(folder)
+    whole = results.store.find(run_id)
+    row = next(row for row in results.runs.rows() if row["run_id"] == whole)
+    file = results.store.trajectory_file(whole)
+    row = {name: value for name, value in row.items() if value is not None or as_json}
+    row["trajectory"] = str(file) if file.is_file() else None
+    if as_json:
+        print_json(row)
+        return
     lines = [(name, number(value)) for name, value in row.items()]
-    lines.append(("trajectory", str(file) if file.is_file() else "not kept"))
     print(aligned(lines[0], lines[1:]))
 
 
@@ -108,36 +121,30 @@ def export(
         Path | None, typer.Option(help="Write everything into one MAT-file.", metavar="FILE")
     ] = None,
 ) -> None:
-    """Write a result directory for other programs."""
+    """Write a result directory for other programs: runs.parquet anew, CSV or a MAT-file."""
+    results = open_results(folder)
     if csv is None and mat is None:
-        raise InvalidInput("nothing to do: give --csv FOLDER or --mat FILE")
-    store = _store(folder)
+        print(results.store.export())
     if csv is not None:
         check_folder("--csv", csv)
     if mat is not None:
         check_file("--mat", mat)
     if csv is not None:
-        files = write_csv(store, csv)
+        files = write_csv(results, csv)
         print(f"{len(files)} files in {csv}")
     if mat is not None:
-        write_mat(store, mat)
+        write_mat(results, mat)
         print(mat)
 
 
-def _store(folder: Path) -> Store:
-    """The store in `folder`, which has to be a directory."""
-    if folder.exists() and not folder.is_dir():
-        raise InvalidInput(
-            f"{folder} is a file, not a result directory; give the directory that "
-            "`congelation run` or `sweep` wrote"
-        )
-    return Store(folder)
-
-
 def _print_rows(rows: Sequence[Mapping[str, object]]) -> None:
-    """One line per run: what it is, how it ended, its metrics."""
+    """One line per run: what it is, how it ended, its settings and metrics."""
     if not rows:
         print("no runs")
         return
-    columns = ["run_id", "variant", *settings_of(rows[0]), "status", *metrics_of(rows[0])]
-    print(aligned(columns, [[number(row[name]) for name in columns] for row in rows]))
+    names = dict.fromkeys(name for row in rows for name, value in row.items() if value is not None)
+    first = [name for name in ("run_id", "variant", "replicate") if name in names]
+    columns = first + [n for n in names if n.startswith("set.")] + ["status"]
+    columns += [name for name in rows[0] if name.startswith("metric.")]
+    header = [name.removeprefix("set.").removeprefix("metric.") for name in columns]
+    print(aligned(header, [[number(row[name]) for name in columns] for row in rows]))

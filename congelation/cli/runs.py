@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from congelation.cli.progress import Form, shown
 from congelation.cli.shared import (
@@ -19,25 +17,36 @@ from congelation.cli.shared import (
     as_status,
     complain,
     print_figures,
+    print_json,
     print_summary,
 )
 from congelation.cosim.result import Status
 from congelation.errors import CongelationError, InvalidInput
-from congelation.results.records import Row
-from congelation.results.store import Store
+from congelation.results.identity import code_version
+from congelation.results.record import RunRecord
+from congelation.results.results import Results
 from congelation.scenario.load import load_scenario
-from congelation.scenario.scenario import Scenario
-from congelation.scenario.ssp import read_ssp, write_ssp
-from congelation.sweep.batch import run_sweep
+from congelation.scenario.ssp import write_ssp
+from congelation.sweep.cluster import Cluster
+from congelation.sweep.engine import carry_out, read, result_folder
 from congelation.sweep.estimate import estimate
-from congelation.sweep.executors import Cluster, Processes, Workers
-from congelation.sweep.run import run_scenario
-from congelation.sweep.shipping import cargo_of
-from congelation.sweep.sweep_plan import Plan, plan_sweep
-from congelation.sweep.workers import REFUSED
+from congelation.sweep.plan import Plan, plan_study
+from congelation.sweep.workers import Local, Workers
 from congelation.verify.reference import LARGEST_DEVIATION
 
 __all__ = ["export_ssp", "run", "sweep"]
+
+Out = Annotated[
+    Path | None,
+    typer.Option(help="Result directory.", show_default="results/<scenario>", metavar="DIR"),
+]
+Verify = Annotated[bool, typer.Option("--verify", help="Compare with a monolithic solution.")]
+Timeout = Annotated[
+    float | None,
+    typer.Option(help="Seconds that a run may take.", metavar="SECONDS", show_default=False),
+]
+ProgressForm = Annotated[Form, typer.Option(help="A bar, one line of JSON at a time, or nothing.")]
+Json = Annotated[bool, typer.Option("--json", help="Print JSON in place of tables.")]
 
 MEASURED = 50
 """A sweep of so many runs begins with an estimate of what it takes, which itself takes seconds."""
@@ -47,25 +56,27 @@ def run(
     scenario: Annotated[
         Path, typer.Argument(help="Scenario (.toml) or system (.ssp).", show_default=False)
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Result directory.", show_default="results/<scenario>", metavar="DIR"),
-    ] = None,
-    verify: Annotated[
-        bool, typer.Option("--verify", help="Compare with a monolithic solution.")
-    ] = False,
+    out: Out = None,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
+    verify: Verify = False,
+    timeout: Timeout = None,
+    progress: ProgressForm = Form.BAR,
+    as_json: Json = False,
 ) -> None:
     """Run all variants of a scenario: summary, trajectories and figures."""
-    folder = out if out is not None else Path("results") / scenario.stem
-    try:
-        store = _run_with_progress(_read(scenario), folder, verify)
-    except KeyboardInterrupt as error:
-        complain("interrupted")
-        raise typer.Exit(INTERRUPTED) from error
-    print_summary(store)
-    print_figures(store)
-    print(store.index)
-    complaints = list(_complaints(store))
+    found = read(scenario)
+    folder = result_folder(found, out)
+    with _interrupts():
+        plan = plan_study(found, folder, swept=False, verify=verify, timeout=_positive(timeout))
+    results = _carried_out(plan, Local(workers), progress)
+    records = results.study().records
+    if as_json:
+        print_json([record.row() for record in records])
+    else:
+        print_summary(results)
+        print_figures(results)
+        print(results.store.index)
+    complaints = [*_complaints(records)]
     for complaint in complaints:
         complain(complaint)
     if complaints:
@@ -74,10 +85,7 @@ def run(
 
 def sweep(
     scenario: Annotated[Path, typer.Argument(help="Scenario file (.toml).", show_default=False)],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Result directory.", show_default="results/<scenario>", metavar="DIR"),
-    ] = None,
+    out: Out = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Number of processes.", show_default="1")
     ] = None,
@@ -106,32 +114,43 @@ def sweep(
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Say what there is to do and what it takes, and stop.")
     ] = False,
-    progress: Annotated[
-        Form, typer.Option(help="A bar, one line of JSON at a time, or nothing.")
-    ] = Form.BAR,
+    verify: Verify = False,
+    timeout: Timeout = None,
+    progress: ProgressForm = Form.BAR,
+    as_json: Json = False,
 ) -> None:
     """Run all variants at every point of the scenario's sweep, in worker processes."""
-    folder = out if out is not None else Path("results") / scenario.stem
     if workers is not None and scheduler is not None:
         raise InvalidInput("give --workers or --scheduler, not both")
     if ship and scheduler is None:
         raise InvalidInput("--ship needs a --scheduler to send FMUs to; processes here have them")
+    found = read(scenario)
+    folder = result_folder(found, out)
     again = [as_status(status) for status in retry or ()]
-    plan = plan_sweep(_read(scenario), folder, resume=bool(resume or dry_run or again), retry=again)
-    place = _place(plan, workers or 1, scheduler, ship=ship)
-    try:
-        _announce(plan, place, folder, measured=dry_run or len(plan.missing) >= MEASURED)
-        if dry_run:
-            return
-        with shown(plan, progress) as listener:
-            run_sweep(plan, workers=place, progress=listener)
-    except KeyboardInterrupt as error:
-        total = len(plan.run_ids)
-        complain(f"interrupted after {plan.finished} of {total} runs; go on with --resume")
-        raise typer.Exit(INTERRUPTED) from error
-    print_summary(Store(folder))
-    print(Store(folder).index)
-    _tell_failures(scenario, Store(folder).read().rows)
+    with _interrupts():
+        plan = plan_study(
+            found,
+            folder,
+            swept=True,
+            resume=bool(resume or dry_run or again),
+            retry=again,
+            verify=verify,
+            timeout=_positive(timeout),
+            write=not dry_run,
+        )
+    place = Local(workers or 1) if scheduler is None else Cluster(scheduler, ship=ship)
+    if not as_json:
+        _announce(plan, place, measured=dry_run or len(plan.missing) >= MEASURED)
+    if dry_run:
+        return
+    results = _carried_out(plan, place, progress)
+    if as_json:
+        print_json([record.row() for record in results.runs])
+    else:
+        print_summary(results)
+        print(results.store.index)
+    if _complain_of_failures(results.runs):
+        raise typer.Exit(FAILED)
 
 
 def export_ssp(
@@ -151,72 +170,79 @@ def export_ssp(
     print(file)
 
 
-def _read(file: Path) -> Scenario:
-    return read_ssp(file) if file.suffix == ".ssp" else load_scenario(file)
+@contextmanager
+def _interrupts() -> Iterator[None]:
+    """End with one line on Ctrl-C before any run is done."""
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        complain("interrupted")
+        raise typer.Exit(INTERRUPTED) from error
 
 
-def _place(plan: Plan, workers: int, scheduler: str | None, *, ship: bool) -> Workers:
-    """Where the runs are done."""
-    if scheduler is None:
-        return Processes(workers)
-    return Cluster(scheduler, cargo_of(plan.shared, plan.missing) if ship else None)
+def _positive(timeout: float | None) -> float | None:
+    if timeout is not None and not timeout > 0.0:
+        raise InvalidInput(f"--timeout {timeout:g}: give a positive number of seconds")
+    return timeout
 
 
-def _announce(plan: Plan, place: Workers, folder: Path, *, measured: bool) -> None:
+def _carried_out(plan: Plan, workers: Workers, form: Form) -> Results:
+    """Carry a study out and show how far it is."""
+    try:
+        with shown(plan, form) as listener:
+            return carry_out(plan, workers, listener)
+    except KeyboardInterrupt as error:
+        done = plan.store.count(plan.job.study)
+        remedy = "; go on with --resume" if plan.job.swept else ""
+        complain(f"interrupted after {done} of {plan.total} runs{remedy}")
+        raise typer.Exit(INTERRUPTED) from error
+    except InvalidInput:
+        _complain_of_failures(Results(plan.store.root, plan.job.study).runs)
+        raise
+
+
+def _announce(plan: Plan, workers: Workers, *, measured: bool) -> None:
     """Say how many runs there are, and what those missing will take."""
-    print(f"{len(plan.run_ids)} runs, {len(plan.missing)} of them to do in {folder}")
+    print(f"{plan.total} runs, {len(plan.missing)} of them to do in {plan.store.root}")
     if plan.others:
-        print(f"{plan.others} runs there are of another state of the scenario, and not listed")
+        print(f"{plan.others} runs there are of another study, or another state of the scenario")
+    for version in plan.versions:
+        if version != code_version():
+            complain(
+                f"warning: finished runs are of congelation {version}, this is {code_version()}; "
+                "their numbers count as equal, as both have the same version of the numerics"
+            )
     if not (measured and plan.missing):
         return
-    try:
-        print(estimate(plan, place), flush=True)
-    except InvalidInput:
-        raise
-    except CongelationError as error:
-        print(f"no estimate: {error}", flush=True)
+    with _interrupts():
+        try:
+            print(estimate(plan, workers), flush=True)
+        except InvalidInput:
+            raise
+        except CongelationError as error:
+            print(f"no estimate: {error}", flush=True)
 
 
-def _tell_failures(scenario: Path, rows: Sequence[Row]) -> None:
-    """Say how many runs failed, and how; raise InvalidInput if not one could begin."""
-    failed = [row for row in rows if row["status"] != Status.COMPLETED.name]
-    if not failed:
-        return
-    kinds = Counter(str(row["status"]) for row in failed)
-    counts = ", ".join(f"{count} {status}" for status, count in kinds.most_common())
-    complain(f"{len(failed)} of {len(rows)} runs failed ({counts})")
-    if kinds[REFUSED] == len(rows):
-        raise InvalidInput(f"{scenario}: {failed[0]['message']}")
+def _complain_of_failures(records: Iterable[RunRecord]) -> int:
+    """Say how many runs failed, and how; returns how many."""
+    kinds = Counter(record.status for record in records)
+    total = kinds.total()
+    failed = total - kinds.pop(Status.COMPLETED.name, 0)
+    if failed:
+        counts = ", ".join(f"{count} {status}" for status, count in kinds.most_common())
+        complain(f"{failed} of {total} runs failed ({counts})")
+    return failed
 
 
-def _run_with_progress(scenario: Scenario, folder: Path, verify: bool) -> Store:
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeRemainingColumn(elapsed_when_finished=True),
-    )
-    with Progress(*columns, console=Console(stderr=True)) as bar:
-        names = [variant.name for variant in scenario.variants]
-        tasks = {name: bar.add_task(escape(name), total=1.0, start=False) for name in names}
-
-        def show(variant: str, done: float) -> None:
-            bar.start_task(tasks[variant])
-            bar.update(tasks[variant], completed=done)
-
-        return run_scenario(scenario, folder, verify=verify, progress=show)
-
-
-def _complaints(store: Store) -> Iterator[str]:
+def _complaints(records: Iterable[RunRecord]) -> Iterator[str]:
     """What did not go as it should: failed runs, and runs too far from the reference."""
-    study = store.read()
-    for row in study.rows:
-        if row["status"] != Status.COMPLETED.name:
-            yield f"{row['variant']}: {row['message']}"
-        for deviation in study.about["verification"].get(row["run_id"], []):
-            if deviation["relative"] > LARGEST_DEVIATION:
+    for record in records:
+        if record.status != Status.COMPLETED.name:
+            yield f"{record.variant}: {record.message}"
+        for variable, relative in record.deviations.items():
+            if relative > LARGEST_DEVIATION:
                 yield (
-                    f"{row['variant']}: {deviation['variable']} is off the monolithic solution by "
-                    f"{deviation['relative']:.1e} of its peak (at most {LARGEST_DEVIATION:g}); "
+                    f"{record.variant}: {variable} is off the monolithic solution by "
+                    f"{relative:.1e} of its peak (at most {LARGEST_DEVIATION:g}); "
                     "shorten the communication step"
                 )

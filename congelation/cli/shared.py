@@ -17,9 +17,9 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from congelation.report.figures import draw, figure_names, save
 from congelation.report.summary import summarise
-from congelation.results.store import Store
+from congelation.results.figures import save
+from congelation.results.results import Results
 
 __all__ = [
     "BAD_INPUT",
@@ -74,7 +74,7 @@ def interruptible(command: Callable[P, R]) -> Callable[P, R]:
 
 
 def print_json(value: object) -> None:
-    """A dataclass, or what JSON has, as JSON on stdout; what is not finite becomes null."""
+    """A dataclass, or what JSON has, as JSON on stdout: nan as null, infinities as text."""
     print(json.dumps(_plain(value), indent=1, ensure_ascii=False, allow_nan=False))
 
 
@@ -91,8 +91,9 @@ def _plain(value: Any) -> object:
         return value.name
     if isinstance(value, Path):
         return str(value)
-    # JSON has neither infinity nor nan.
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(value)  # JSON has neither
+    return value
 
 
 def as_status(text: str) -> str:
@@ -117,15 +118,15 @@ def print_table(
         console.print(table)
 
 
-def print_summary(store: Store) -> None:
-    """The summary of a result directory."""
-    study = store.read()
+def print_summary(results: Results) -> None:
+    """The summary of the newest study of a result directory."""
+    study = results.study()
     summary = summarise(study)
     print_table(study.about["title"], summary.columns, summary.lines)
 
 
-def print_figures(store: Store) -> None:
+def print_figures(results: Results) -> None:
     """Draw the figures of a result directory, and say where they are."""
-    for name in figure_names(store):
-        for file in save(draw(store, name), store.root / "figures", name):
+    for name in results.figures():
+        for file in save(results.plot(name), results.folder / "figures", name):
             print(file)

@@ -14,8 +14,9 @@ from pyarrow import csv
 from scipy.io import savemat
 
 from congelation.errors import InvalidInput
-from congelation.results.records import Trajectory
-from congelation.results.store import Store, replace_whole
+from congelation.results.record import Trajectory
+from congelation.results.results import Results
+from congelation.results.store import replace_whole
 
 __all__ = ["matlab_name", "write_csv", "write_mat"]
 
@@ -23,12 +24,12 @@ LONGEST_NAME = 63
 """Characters of a MATLAB name; later ones are ignored there."""
 
 
-def write_csv(store: Store, folder: Path) -> tuple[Path, ...]:
+def write_csv(results: Results, folder: Path) -> tuple[Path, ...]:
     """Write ``runs.csv`` and ``trajectories/<run_id>.csv``, with the columns of the Parquet files.
 
     Parameters
     ----------
-    store : Store
+    results : Results
     folder : Path
         Made if it does not exist; files of the same names are replaced.
 
@@ -39,10 +40,10 @@ def write_csv(store: Store, folder: Path) -> tuple[Path, ...]:
     StoreError
         If a file cannot be written.
     """
-    rows = _rows(store)
+    rows = _rows(results)
     files = [folder / "runs.csv"]
     _write_table(pa.Table.from_pylist(list(rows)), files[0])
-    for run_id, trajectory in _trajectories(store, rows):
+    for run_id, trajectory in _trajectories(results, rows):
         file = folder / "trajectories" / f"{run_id}.csv"
         data = {"time": trajectory.time}
         data |= dict(zip(trajectory.columns, trajectory.values.T, strict=True))
@@ -51,7 +52,7 @@ def write_csv(store: Store, folder: Path) -> tuple[Path, ...]:
     return tuple(files)
 
 
-def write_mat(store: Store, file: Path) -> None:
+def write_mat(results: Results, file: Path) -> None:
     """Write one MAT-file (version 5) with the structures `runs` and `trajectories`.
 
     ``runs.NAME`` is a column, an array or a cell array of strings, with names as `matlab_name`
@@ -65,7 +66,7 @@ def write_mat(store: Store, file: Path) -> None:
     StoreError
         If the file cannot be written.
     """
-    rows = _rows(store)
+    rows = _rows(results)
     names = {matlab_name(name): name for name in rows[0]}
     if len(names) < len(rows[0]):
         twice = next(n for n in rows[0] if names[matlab_name(n)] != n)
@@ -74,7 +75,7 @@ def write_mat(store: Store, file: Path) -> None:
             f"'{matlab_name(twice)}' in MATLAB; export --csv instead"
         )
     runs = {short: _column([row[name] for row in rows]) for short, name in names.items()}
-    content = {"runs": runs, "trajectories": _structures(_trajectories(store, rows))}
+    content = {"runs": runs, "trajectories": _structures(_trajectories(results, rows))}
     replace_whole(file, lambda temporary: _save(temporary, content))
 
 
@@ -91,20 +92,20 @@ def matlab_name(name: str) -> str:
     return (short if short[:1].isalpha() else f"x{short}")[:LONGEST_NAME]
 
 
-def _rows(store: Store) -> tuple[dict[str, Any], ...]:
-    rows = store.rows()
+def _rows(results: Results) -> tuple[dict[str, Any], ...]:
+    rows = tuple(results.runs.rows())
     if not rows:
-        raise InvalidInput(f"{store.root} holds no finished run")
+        raise InvalidInput(f"{results.folder} holds no finished run")
     return rows
 
 
 def _trajectories(
-    store: Store, rows: Sequence[Mapping[str, Any]]
+    results: Results, rows: Sequence[Mapping[str, Any]]
 ) -> Iterable[tuple[str, Trajectory]]:
     """The trajectories that were kept, one at a time."""
     for row in rows:
-        if store.trajectory_file(row["run_id"]).is_file():
-            yield row["run_id"], store.trajectory(row["run_id"])
+        if results.store.trajectory_file(row["run_id"]).is_file():
+            yield row["run_id"], results.store.trajectory(row["run_id"])
 
 
 def _write_table(table: pa.Table, file: Path) -> None:

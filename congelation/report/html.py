@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from congelation.cosim.result import Status
-from congelation.report.figures import draw, figure_names
 from congelation.report.summary import Summary, metric_definitions, summarise
-from congelation.results.records import Study
-from congelation.results.store import Store, replace_whole
+from congelation.results.record import Study
+from congelation.results.results import Results
+from congelation.results.store import replace_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,7 +37,7 @@ pre { background: #f6f6f6; padding: 1rem; overflow-x: auto; font-size: 0.85rem; 
 """
 
 
-def write_html(store: Store, file: Path) -> None:
+def write_html(results: Results, file: Path) -> None:
     """Write the report of a result directory.
 
     Raises
@@ -47,8 +47,8 @@ def write_html(store: Store, file: Path) -> None:
     CongelationError
         If the file cannot be written.
     """
-    study = store.read()
-    figures = [(name, _png(draw(store, name))) for name in figure_names(store)]
+    study = results.study()
+    figures = [(name, _png(results.plot(name))) for name in results.figures()]
     page = "\n".join(_page(study, figures))
     replace_whole(file, lambda temporary: temporary.write_text(page, encoding="utf-8"))
 
@@ -58,9 +58,9 @@ def _page(study: Study, figures: Sequence[tuple[str, bytes]]) -> Iterator[str]:
     yield '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">'
     yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
     yield f"<title>{title}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>"
-    for row in study.rows:
-        if row["status"] != Status.COMPLETED.name:
-            yield f'<p class="failed">{escape(str(row["variant"]))}: {escape(row["message"])}</p>'
+    for run in study.records:
+        if run.status != Status.COMPLETED.name:
+            yield f'<p class="failed">{escape(run.variant)}: {escape(run.message)}</p>'
     yield "<h2>Summary</h2>"
     yield from _table(summarise(study))
     yield "<h2>Figures</h2>"
@@ -79,7 +79,7 @@ def _page(study: Study, figures: Sequence[tuple[str, bytes]]) -> Iterator[str]:
         for name, fmu in study.about["fmus"].items()
     )
     yield "<h3>Runs</h3>"
-    yield from _pairs((str(row["variant"]), row["run_id"]) for row in study.rows)
+    yield from _pairs((run.variant, run.run_id) for run in study.records)
     yield f"<h3>Scenario: {escape(study.about['scenario_file'])}</h3>"
     yield f"<pre>{escape(study.about['scenario'])}</pre>\n</body>\n</html>"
 

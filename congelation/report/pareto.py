@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from congelation.errors import InvalidInput, nearest
-from congelation.report.figures import SETTINGS
-from congelation.report.labels import with_unit
-from congelation.results.records import Study
+from congelation.results.figures import SETTINGS
+from congelation.results.labels import with_unit
+from congelation.results.record import RunRecord, Study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -22,8 +22,8 @@ _SIZE = (3.5, 2.6)  # inches: a column of the IEEE format
 _FRONT, _OTHERS = "#D55E00", "#0072B2"  # as in the other figures
 
 
-def pareto_front(study: Study, metrics: Sequence[str]) -> tuple[dict[str, Any], ...]:
-    """The rows that no other row beats: none is at most equal in all metrics and less in one.
+def pareto_front(study: Study, metrics: Sequence[str]) -> tuple[RunRecord, ...]:
+    """The runs that no other run beats: none is at most equal in all metrics and less in one.
 
     Only finite metrics of completed runs compete; sorted by the first metric.
 
@@ -38,11 +38,11 @@ def pareto_front(study: Study, metrics: Sequence[str]) -> tuple[dict[str, Any], 
     rivals = _rivals(study, metrics)
     costs = np.array([cost for cost, _ in rivals], dtype=float).reshape(-1, len(metrics))
     front = [
-        (cost, row)
-        for cost, row in rivals
+        (cost, run)
+        for cost, run in rivals
         if not np.any(np.all(costs <= cost, axis=1) & np.any(costs < cost, axis=1))
     ]
-    return tuple(row for _, row in sorted(front, key=lambda entry: entry[0]))
+    return tuple(run for _, run in sorted(front, key=lambda entry: entry[0]))
 
 
 def draw_front(study: Study, metrics: Sequence[str]) -> Figure:
@@ -55,12 +55,14 @@ def draw_front(study: Study, metrics: Sequence[str]) -> Figure:
     InvalidInput
         If there are not two metrics, or no such metric.
     """
-    import matplotlib as mpl  # here, as in congelation.report.figures
+    import matplotlib as mpl  # here, as in congelation.results.figures
     from matplotlib.figure import Figure
 
     if len(metrics) != 2:
         raise InvalidInput(f"a figure of a Pareto front has two metrics, not {len(metrics)}")
-    front = np.array([[row[name] for name in metrics] for row in pareto_front(study, metrics)])
+    front = np.array(
+        [[run.metrics[name] for name in metrics] for run in pareto_front(study, metrics)]
+    )
     costs = np.array([cost for cost, _ in _rivals(study, metrics)], dtype=float).reshape(-1, 2)
     with mpl.rc_context(SETTINGS):
         figure = Figure(figsize=_SIZE, layout="constrained")
@@ -78,11 +80,12 @@ def draw_front(study: Study, metrics: Sequence[str]) -> Figure:
     return figure
 
 
-def _rivals(study: Study, metrics: Sequence[str]) -> list[tuple[tuple[float, ...], dict[str, Any]]]:
-    """The metrics and the row of every run that has them all, and finite."""
-    entries = [(tuple(row[name] for name in metrics), row) for row in study.rows]
-    return [
-        (cost, row)
-        for cost, row in entries
-        if all(value is not None and math.isfinite(value) for value in cost)
-    ]
+def _rivals(study: Study, metrics: Sequence[str]) -> list[tuple[tuple[float, ...], RunRecord]]:
+    """The metrics and the record of every run that has them all, and finite."""
+    found = []
+    for run in study.records:
+        costs = [run.metrics.get(name) for name in metrics]
+        finite = [cost for cost in costs if cost is not None and math.isfinite(cost)]
+        if len(finite) == len(costs):
+            found.append((tuple(finite), run))
+    return found

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from congelation.errors import InvalidInput, nearest
-from congelation.results.records import Study
+from congelation.results.record import GROUPS, RunRecord, Study
 
 __all__ = [
     "Summary",
@@ -46,22 +46,25 @@ def summarise_groups(study: Study, by: Sequence[str]) -> Summary:
     InvalidInput
         If there is no such column.
     """
-    replicate = [name for name in ("replicate",) if study.rows and name in study.rows[0]]
-    known = ["variant", "status", *replicate, *study.about["varied"]]
-    for name in by:
+    names = [name.removeprefix(GROUPS["settings"]) for name in by]
+    known = ["variant", "status", "replicate", *study.about["varied"]]
+    for name in names:
         if name not in known:
             raise InvalidInput(f"'{name}' is no column to group by; {nearest(name, known)}")
-    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
-    ordered = sorted(study.rows, key=lambda row: [_order(row[name]) for name in by])
-    for row in ordered:
-        groups.setdefault(tuple(number(row[name]) for name in by), []).append(row)
+
+    def key(run: RunRecord) -> tuple[object, ...]:
+        return tuple(getattr(run, n) if n in known[:3] else run.settings.get(n) for n in names)
+
+    groups: dict[tuple[str, ...], list[RunRecord]] = {}
+    for run in sorted(study.records, key=lambda run: [_order(value) for value in key(run)]):
+        groups.setdefault(tuple(number(value) for value in key(run)), []).append(run)
     metrics = study.about["metrics"]
     columns = ["runs", "completed", *(_label(name, about) for name, about in metrics.items())]
     lines = []
-    for label, rows in groups.items():
-        completed = sum(row["status"] == "COMPLETED" for row in rows)
-        cells = [str(len(rows)), str(completed)]
-        cells += [_spread([row[name] for row in rows]) for name in metrics]
+    for label, runs in groups.items():
+        completed = sum(run.status == "COMPLETED" for run in runs)
+        cells = [str(len(runs)), str(completed)]
+        cells += [_spread([run.metrics.get(name) for run in runs]) for name in metrics]
         lines.append((", ".join(label), tuple(cells)))
     return Summary(tuple(columns), tuple(lines))
 
@@ -81,26 +84,25 @@ def _spread(values: Sequence[float | None]) -> str:
 
 def summarise(study: Study) -> Summary:
     """Settings, status, metrics and cost of every run; of a sweep, quantiles by variant."""
-    if "sweep" in study.about:
+    if study.about["swept"]:
         return _summarise_sweep(study)
     return Summary(
-        tuple(str(row["variant"]) for row in study.rows),
+        tuple(run.variant for run in study.records),
         tuple((label, tuple(cells)) for label, cells in _lines(study)),
     )
 
 
 def _summarise_sweep(study: Study) -> Summary:
-    groups: dict[str, list[dict[str, Any]]] = {}
-    for row in study.rows:
-        groups.setdefault(str(row["variant"]), []).append(row)
-    statuses = dict.fromkeys(str(row["status"]) for row in study.rows)
-    lines = [("runs", [str(len(rows)) for rows in groups.values()])]
-    for status in statuses:
-        counts = [sum(row["status"] == status for row in rows) for rows in groups.values()]
+    groups: dict[str, list[RunRecord]] = {}
+    for run in study.records:
+        groups.setdefault(run.variant, []).append(run)
+    lines = [("runs", [str(len(runs)) for runs in groups.values()])]
+    for status in dict.fromkeys(run.status for run in study.records):
+        counts = [sum(run.status == status for run in runs) for runs in groups.values()]
         lines.append((status, [str(count) for count in counts]))
     for name, about in study.about["metrics"].items():
         for text, q in _QUANTILES.items():
-            cells = [_quantile([row[name] for row in rows], q) for rows in groups.values()]
+            cells = [_quantile([r.metrics.get(name) for r in runs], q) for runs in groups.values()]
             lines.append((f"{_label(name, about)}, {text}", cells))
     return Summary(tuple(groups), tuple((label, tuple(cells)) for label, cells in lines))
 
@@ -133,29 +135,23 @@ def number(value: object) -> str:
 
 
 def _lines(study: Study) -> Iterator[tuple[str, list[str]]]:
-    rows = study.rows
-    yield "status", [str(row["status"]) for row in rows]
+    runs = study.records
+    yield "status", [run.status for run in runs]
     for name in study.about["varied"]:
-        yield name, [number(row[name]) for row in rows]
+        yield name, [number(run.settings.get(name)) for run in runs]
     for name, about in study.about["metrics"].items():
         never = about["metric"] == "settling_time"
-        yield (
-            _label(name, about),
-            ["never" if never and row[name] == math.inf else number(row[name]) for row in rows],
-        )
-    yield "macro steps", [number(row["macro_steps"]) for row in rows]
-    yield "wall time [s]", [number(row["wall_time"]) for row in rows]
-    deviations = study.about.get("verification", {})
-    for name in dict.fromkeys(d["variable"] for found in deviations.values() for d in found):
+        values = [run.metrics.get(name) for run in runs]
+        cells = ["never" if never and value == math.inf else number(value) for value in values]
+        yield _label(name, about), cells
+    yield "macro steps", [number(run.steps) for run in runs]
+    yield "wall time [s]", [number(run.wall_time) for run in runs]
+    for name in dict.fromkeys(name for run in runs for name in run.deviations):
         yield (
             f"error of {name} / peak",
-            [_error(deviations.get(row["run_id"], []), name) for row in rows],
+            [f"{run.deviations[name]:.1e}" if name in run.deviations else "–" for run in runs],
         )
 
 
 def _label(name: str, about: Mapping[str, Any]) -> str:
     return f"{name} [{about['unit']}]" if about["unit"] else name
-
-
-def _error(found: list[Mapping[str, Any]], variable: str) -> str:
-    return next((f"{d['relative']:.1e}" for d in found if d["variable"] == variable), "–")

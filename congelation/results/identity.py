@@ -1,4 +1,4 @@
-"""What a run, a file and the code are known by: hashes of what they consist of."""
+"""What runs, files and the code are identified by: hashes of their content, and versions."""
 
 from __future__ import annotations
 
@@ -10,15 +10,25 @@ from pathlib import Path
 
 import congelation
 
-__all__ = ["code_version", "content_hash", "file_hash"]
+__all__ = ["NUMERICS_VERSION", "code_version", "content_hash", "file_hash", "text_of"]
 
-_ID_LENGTH = 16  # hex digits; 64 bits, so 10^6 runs collide with probability 3e-8
+NUMERICS_VERSION = 1
+"""Part of the identity of a run: raise it whenever equal inputs give other numbers than before.
+
+The digest of the sources is no part of it, as most changes of the sources change no number.
+"""
+
+ID_LENGTH = 16  # hex digits; 64 bits, so 10^6 runs collide with probability 3e-8
+
+
+def text_of(content: object) -> bytes:
+    """JSON-representable `content` as bytes; equal content gives equal bytes."""
+    return json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=True).encode()
 
 
 def content_hash(content: object) -> str:
-    """Identifier of JSON-representable `content`: equal content, equal identifier."""
-    text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=True)
-    return hashlib.sha256(text.encode()).hexdigest()[:_ID_LENGTH]
+    """Identifier of JSON-representable `content`."""
+    return hashlib.sha256(text_of(content)).hexdigest()[:ID_LENGTH]
 
 
 def file_hash(file: Path) -> str:

@@ -1,145 +1,290 @@
-"""The result directory: one trajectory file and one row per run, each written once, whole.
+"""The result directory: the records of runs in SQLite, their trajectories in Parquet.
 
+    DIR/runs.sqlite                     records, written in batches by the process that plans
     DIR/trajectories/<run_id>.parquet   column ``time`` and one column per recorded variable
-    DIR/parts/<run_id>.parquet          the row of a finished run, written after its trajectory
-    DIR/runs.parquet                    all rows, compacted from the parts
+    DIR/runs.parquet                    all records, written from runs.sqlite when a study ends
 
-Files appear by renaming a complete temporary file in the same directory, so a reader never sees
-half of one, and a run is finished exactly if its row exists.
+A worker writes a trajectory before its run is reported, so a run is finished exactly if its record
+exists. DIR has to be on a file system of the planning machine: SQLite's write-ahead log is not
+safe on a network file system.
 """
 
 from __future__ import annotations
 
+import io
+import itertools
 import json
 import os
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import sqlite3
+import time
+from array import array
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from congelation.errors import CongelationError, InvalidInput, nearest
-from congelation.results.records import Row, Study, Trajectory
+from congelation.places import check_folder
+from congelation.results.record import GROUPS, RunRecord, Trajectory
 
-__all__ = ["Store", "StoreError", "replace_whole"]
+__all__ = ["Store", "StoreError", "replace_whole", "trajectory_bytes"]
 
 
 class StoreError(CongelationError):
     """A result that cannot be written; the text names the file and the reason."""
 
 
-_METADATA = b"congelation"
-_BATCH = 256
-"""Rows joined at a time: one alone takes 16 kB, one of many 200 bytes."""
-_MANY_ROWS = {"compression": "zstd"}
-_ONE_ROW = {"compression": "none", "use_dictionary": False, "write_statistics": False}
-"""Of one row each would take time, and make it no smaller."""
+METADATA = b"congelation"
+"""Key of Parquet metadata with the description of the study."""
+
+BUSY = 60.0
+"""Seconds to wait for another process that writes into the same directory."""
+
+ROWS_AT_ONCE = 10_000
+"""Rows read at a time, which bounds the memory that an export takes."""
+
+_TYPES = {bool: "BOOLEAN", int: "INTEGER", float: "REAL", str: "TEXT"}
+_TYPED = {
+    "run_id": "TEXT PRIMARY KEY",
+    "number": "INTEGER",
+    "replicate": "INTEGER",
+    "steps": "INTEGER",
+    "rejected_steps": "INTEGER",
+    "iterations": "INTEGER",
+    "estimated_error": "REAL",
+    "wall_time": "REAL",
+    "worst_margin": "REAL",
+    "trust.error": "REAL",
+    "seed": "INTEGER",
+    "numerics_version": "INTEGER",
+}
+"""Columns that are not TEXT."""
+
+_ORDER = "FROM runs LEFT JOIN studies USING (study) {where} ORDER BY used, study, number, run_id"
 
 
-@dataclass(frozen=True)
 class Store:
-    """A result directory."""
+    """A result directory.
 
-    root: Path
+    Parameters
+    ----------
+    root : Path
+    """
 
-    @property
-    def index(self) -> Path:
-        """The file with all rows."""
-        return self.root / "runs.parquet"
+    def __init__(self, root: Path) -> None:
+        self.root = Path(root)
+        self.database = self.root / "runs.sqlite"
+        self.index = self.root / "runs.parquet"
+        self._connection: sqlite3.Connection | None = None
 
     def trajectory_file(self, run_id: str) -> Path:
         """Where the trajectory of a run is kept."""
         return self.root / "trajectories" / f"{run_id}.parquet"
 
-    def part_file(self, run_id: str) -> Path:
-        """Where the row of a run is kept, as whoever ran it wrote it."""
-        return self.root / "parts" / f"{run_id}.parquet"
+    # -- writing ------------------------------------------------------------------------------
 
     def create(self) -> None:
-        """Make the directory, so that a bad place is told before the first run, not after it."""
-        try:
-            for folder in (self.root / "trajectories", self.root / "parts"):
-                folder.mkdir(parents=True, exist_ok=True)
-            if not os.access(self.root, os.W_OK):
-                raise PermissionError(13, "Permission denied")
-        except OSError as error:
-            raise InvalidInput(
-                f"results cannot be written to {self.root}: {error.strerror}"
-            ) from error
+        """Make the directory, or open it to write into it.
 
-    def write(self, row: Row, trajectory: Trajectory | bytes | None = None) -> None:
-        """Store a finished run: its trajectory first, if it is kept, then its row.
+        Raises
+        ------
+        InvalidInput
+            If it cannot be made or written to, or is of an earlier version.
+        StoreError
+            If runs.sqlite cannot be written.
+        """
+        self._refuse_old()
+        check_folder("results", self.root)
+        check_folder("results", self.root / "trajectories")
+        with self._errors():
+            if not self.database.is_file():
+                self._make_database()
+            connection = sqlite3.connect(self.database, timeout=BUSY, isolation_level=None)
+            connection.execute("PRAGMA journal_mode=WAL")
+            connection.execute("PRAGMA synchronous=FULL")
+        self._connection = connection
 
-        They replace those of an earlier attempt. A trajectory may be the bytes of its file.
+    def close(self) -> None:
+        """Leave a directory that can also be read from a read-only file system."""
+        if self._connection is None:
+            return
+        with suppress(sqlite3.OperationalError):  # another study writes; the last one will do it
+            self._connection.execute("PRAGMA journal_mode=DELETE")
+        self._connection.close()
+        self._connection = None
+
+    def begin(self, study: str, about: Mapping[str, object]) -> None:
+        """Let a study be the newest one of this directory, and the runs in its plan be its own."""
+        with self._transaction() as connection:
+            connection.execute(
+                "INSERT OR REPLACE INTO studies VALUES (?, ?, ?)",
+                (study, json.dumps(dict(about)), time.time()),
+            )
+            connection.execute(
+                "UPDATE runs SET study = ?, number = plan.number FROM temp.plan AS plan "
+                "WHERE runs.run_id = plan.run_id",
+                (study,),
+            )
+
+    def add(self, records: Sequence[RunRecord]) -> None:
+        """Commit records, in place of earlier ones of the same runs.
 
         Raises
         ------
         StoreError
-            If a file cannot be written; the run then does not count as finished.
+            If they cannot be written; none of them is stored then.
         """
-        run_id = str(row["run_id"])
-        if isinstance(trajectory, bytes):
-            content = trajectory
-            replace_whole(self.trajectory_file(run_id), lambda file: file.write_bytes(content))
-        elif trajectory is not None:
-            _write_whole(_trajectory_table(trajectory), self.trajectory_file(run_id))
-        _write_whole(pa.Table.from_pylist([dict(row)]), self.part_file(run_id), _ONE_ROW)
-        if trajectory is None:
-            _discard(self.trajectory_file(run_id))
+        rows = [record.row() for record in records]
+        with self._transaction() as connection:
+            # A new column has the type of its first value, and none where there is no value.
+            new: dict[str, str] = {}
+            known = {name for name, _ in _columns(connection)}
+            for row in rows:
+                for name in row.keys() - known:
+                    kind = "REAL" if name.startswith(GROUPS["metrics"]) else ""
+                    new[name] = _TYPES.get(type(row[name])) or new.get(name, kind)
+            for name in dict.fromkeys(name for row in rows for name in row if name in new):
+                connection.execute(f"ALTER TABLE runs ADD COLUMN {_quoted(name)} {new[name]}")
+            for names, group in itertools.groupby(rows, tuple):
+                columns, marks = ", ".join(map(_quoted, names)), ", ".join("?" * len(names))
+                connection.executemany(
+                    f"INSERT OR REPLACE INTO runs ({columns}) VALUES ({marks})",
+                    [[row[name] for name in names] for row in group],
+                )
 
-    def finished(self, known: Container[str] = ()) -> set[str]:
-        """The run_ids that have a readable row, those `known` to have one left out."""
-        parts = (self.root / "parts").glob("[!.]*.parquet")
-        return {part.stem for part in parts if part.stem not in known and _is_readable(part)}
+    def write_trajectory(self, run_id: str, content: bytes) -> None:
+        """Keep the trajectory of a run; `content` is that of `trajectory_bytes`."""
+        replace_whole(self.trajectory_file(run_id), lambda file: file.write_bytes(content))
 
-    def written(self, run_id: str) -> int | None:
-        """When the row of a run was written, in nanoseconds; None without a readable row."""
-        part = self.part_file(run_id)
-        return part.stat().st_mtime_ns if _is_readable(part) else None
+    def export(self) -> Path:
+        """Write runs.parquet: every record of this directory."""
+        with closing(self._reader()) as connection:
+            names = dict(_columns(connection))
+            schema = pa.schema(
+                [(name, _arrow_type(connection, name, names[name])) for name in names]
+            )
+            described = {METADATA: json.dumps(dict(self.about())).encode()}
 
-    def row(self, run_id: str) -> dict[str, Any]:
-        """The row of a finished run."""
-        rows: list[dict[str, Any]] = _read(self.part_file(run_id), "no such run").to_pylist()
-        return rows[0]
+            def write(file: Path) -> None:
+                with pq.ParquetWriter(
+                    file, schema.with_metadata(described), compression="zstd"
+                ) as writer:
+                    for rows in _batches(connection, names):
+                        writer.write_table(pa.Table.from_pylist(rows, schema=schema))
 
-    def rows(self) -> tuple[dict[str, Any], ...]:
-        """The rows of all runs finished so far, also while a sweep is under way.
+            replace_whole(self.index, write)
+        return self.index
 
-        Those of runs.parquet come first, in its order; those that it leaves out as runs of another
-        plan are no part of it. Every row has every column.
+    # -- plans --------------------------------------------------------------------------------
+
+    def plan(self, run_ids: Iterable[str], again: Collection[str] | None = ()) -> Planned:
+        """Compare a plan with what is finished; the plan is kept in a temporary table.
+
+        Parameters
+        ----------
+        run_ids : iterable of str
+            In order; one that comes again is ignored.
+        again : collection of str, optional
+            Runs that ended with such a status are missing; None: all of them are.
+        """
+        connection = self._connection or self._planner()
+        with self._errors():
+            connection.execute("BEGIN")
+            connection.execute(
+                "CREATE TEMP TABLE plan (run_id TEXT PRIMARY KEY, number INTEGER) WITHOUT ROWID"
+            )
+            connection.executemany(
+                "INSERT OR IGNORE INTO temp.plan VALUES (?, ?)",
+                ((run_id, number) for number, run_id in enumerate(run_ids)),
+            )
+            connection.execute("COMMIT")
+            known = "FROM temp.plan JOIN runs USING (run_id)"
+            done = known
+            if again is not None:
+                done += f" WHERE status NOT IN ({', '.join(f'{status!r}' for status in again)})"
+            ((total,),) = connection.execute("SELECT count(*) FROM temp.plan")
+            ((others,),) = connection.execute(
+                "SELECT count(*) FROM runs WHERE run_id NOT IN (SELECT run_id FROM temp.plan)"
+            )
+            missing = connection.execute(
+                "SELECT number FROM temp.plan ORDER BY number"
+                if again is None
+                else f"SELECT number FROM temp.plan WHERE run_id NOT IN (SELECT run_id {done}) "
+                "ORDER BY number"
+            )
+            numbers = array("q", (number for (number,) in missing))
+            versions = connection.execute(f"SELECT DISTINCT code_version {known}")
+            return Planned(total, numbers, others, tuple(version for (version,) in versions))
+
+    def _planner(self) -> sqlite3.Connection:
+        """A connection that can plan and writes nothing into the directory."""
+        if self.database.is_file():
+            self._connection = self._reader()
+        else:
+            self._refuse_old()
+            self._connection = sqlite3.connect(":memory:", isolation_level=None)
+            _make_tables(self._connection)
+        return self._connection
+
+    # -- reading ------------------------------------------------------------------------------
+
+    def count(self, study: str | None = None) -> int:
+        """Number of finished runs; 0 where there is no result directory."""
+        if not self.database.is_file():
+            self._refuse_old()
+            return 0
+        ((count,),) = self.query("SELECT count(*) FROM runs {where}", study)
+        return int(count)
+
+    def rows(self, study: str | None = None) -> Iterator[dict[str, Any]]:
+        """Every finished run by column, also while a study is under way, in order of the plans.
 
         Raises
         ------
         InvalidInput
             If this is no result directory.
         """
-        self._require()
-        study = self.read() if self.index.is_file() else Study((), {})
-        rows = list(study.rows)
-        unlisted = study.about.get("sweep", {}).get("unlisted", ())
-        new = self.finished({*(row["run_id"] for row in rows), *unlisted})
-        rows += [self.row(run_id) for run_id in sorted(new)]
-        names = dict.fromkeys(name for row in rows for name in row)
-        return tuple({name: row.get(name) for name in names} for row in rows)
+        with closing(self._reader()) as connection:
+            names = dict(_columns(connection))
+            for rows in _batches(connection, names, study):
+                yield from rows
 
-    def _require(self) -> None:
-        """Raise InvalidInput if this is no result directory."""
-        if not (self.root / "parts").is_dir() and not self.index.is_file():
-            raise InvalidInput(f"{self.root} is no result directory")
+    def columns(self) -> dict[str, str]:
+        """Names and SQL types of the columns."""
+        with closing(self._reader()) as connection:
+            return dict(_columns(connection))
 
-    def find(self, run_id: str) -> dict[str, Any]:
-        """The row of the finished run whose run_id begins with `run_id`.
+    def query(self, text: str, study: str | None = None, *more: object) -> list[tuple[Any, ...]]:
+        """The rows of a query; ``{where}`` in it becomes the restriction to a study."""
+        with closing(self._reader()) as connection:
+            where, parameters = _where(study)
+            return connection.execute(
+                text.replace("{where}", where), (*parameters, *more)
+            ).fetchall()
+
+    def about(self, study: str | None = None) -> Mapping[str, Any]:
+        """The description of a study, by default of the newest one; empty where there is none."""
+        found = self.query("SELECT about FROM studies {where} ORDER BY used DESC LIMIT 1", study)
+        return cast(Mapping[str, Any], json.loads(found[0][0])) if found else {}
+
+    def newest(self) -> str | None:
+        """The study that this directory was last used for."""
+        found = self.query("SELECT study FROM studies ORDER BY used DESC LIMIT 1")
+        return found[0][0] if found else None
+
+    def find(self, run_id: str) -> str:
+        """The whole run_id of the finished run whose run_id begins with `run_id`.
 
         Raises
         ------
         InvalidInput
             If this is no result directory, or there is no such run, or more than one.
         """
-        self._require()
-        known = sorted(self.finished())
+        known = sorted(name for (name,) in self.query("SELECT run_id FROM runs"))
         found = [name for name in known if name.startswith(run_id)]
         if not known:
             raise InvalidInput(f"{self.root} has no runs")
@@ -147,53 +292,7 @@ class Store:
             raise InvalidInput(f"{self.root} has no run '{run_id}'; {nearest(run_id, known)}")
         if len(found) > 1:
             raise InvalidInput(f"{len(found)} runs begin with '{run_id}'; give more of its digits")
-        return self.row(found[0])
-
-    def compact(self, run_ids: Sequence[str], about: Mapping[str, object]) -> None:
-        """Write runs.parquet: the rows of `run_ids`, in that order."""
-        starts = range(0, len(run_ids), _BATCH)
-        table = _joined(self._parts(run_ids[start : start + _BATCH]) for start in starts)
-        metadata = {_METADATA: json.dumps(dict(about)).encode()}
-        _write_whole(table.replace_schema_metadata(metadata), self.index)
-
-    def _parts(self, run_ids: Sequence[str]) -> pa.Table:
-        # Not pq.read_table, which makes a data set of each file and takes twice the time.
-        return _joined(_read(self.part_file(run_id), "no such run") for run_id in run_ids)
-
-    def replaceable(self) -> set[str]:
-        """The run_ids that runs.parquet lists, which a new state of their scenario replaces.
-
-        Raises
-        ------
-        InvalidInput
-            If they are those of a sweep, which may have taken days.
-        """
-        if not self.index.is_file():
-            return set()
-        study = self.read()
-        if "sweep" in study.about:
-            raise InvalidInput(f"{self.root} holds a sweep; give another directory")
-        return {str(row["run_id"]) for row in study.rows}
-
-    def remove(self, run_ids: Iterable[str]) -> None:
-        """Remove runs."""
-        for run_id in run_ids:
-            self.part_file(run_id).unlink(missing_ok=True)
-            self.trajectory_file(run_id).unlink(missing_ok=True)
-
-    def read(self) -> Study:
-        """The rows and the study of this directory.
-
-        Raises
-        ------
-        InvalidInput
-            If it holds no readable runs.parquet.
-        """
-        table = _read(self.index, f"{self.root} is no result directory")
-        about = (table.schema.metadata or {}).get(_METADATA)
-        if about is None:
-            raise InvalidInput(f"{self.index} was not written by congelation")
-        return Study(tuple(table.to_pylist()), json.loads(about))
+        return str(found[0])
 
     def trajectory(self, run_id: str) -> Trajectory:
         """The trajectory of a run.
@@ -203,7 +302,13 @@ class Store:
         InvalidInput
             If there is none, or if its file is damaged.
         """
-        table = _read(self.trajectory_file(run_id), f"run {run_id} has no trajectory")
+        file = self.trajectory_file(run_id)
+        try:
+            table = pq.ParquetFile(file).read()
+        except FileNotFoundError as error:
+            raise InvalidInput(f"run {run_id} has no trajectory: {file} does not exist") from error
+        except (OSError, pa.ArrowInvalid) as error:
+            raise InvalidInput(f"{file} is damaged: {str(error).splitlines()[0]}") from error
         columns = tuple(name for name in table.column_names if name != "time")
         values = [table[name].to_numpy() for name in columns]
         units = {
@@ -213,24 +318,168 @@ class Store:
         time = table["time"].to_numpy()
         return Trajectory(time, columns, np.array(values).T.reshape(len(time), len(columns)), units)
 
+    # -- helpers ------------------------------------------------------------------------------
 
-def _joined(tables: Iterable[pa.Table]) -> pa.Table:
-    """One table with the columns of all of them, in one piece."""
-    several = [pa.table({}), *tables]  # of none at all, it is the empty one
-    return pa.concat_tables(several, promote_options="permissive").combine_chunks()
+    def _refuse_old(self) -> None:
+        if (self.root / "parts").is_dir() and not self.database.is_file():
+            raise InvalidInput(
+                f"{self.root} holds results of an earlier version of congelation, which this one "
+                "does not read; give another folder"
+            )
+
+    def _make_database(self) -> None:
+        """Let the database appear with its tables, or leave it to another process to do so."""
+        temporary = self.root / f".runs.sqlite.{os.getpid()}.tmp"
+        with closing(sqlite3.connect(temporary)) as connection:
+            _make_tables(connection)
+            connection.commit()
+        with suppress(FileExistsError):
+            os.link(temporary, self.database)
+        temporary.unlink()
+
+    def _reader(self) -> sqlite3.Connection:
+        self._refuse_old()
+        if not self.database.is_file():
+            raise InvalidInput(
+                f"{self.root} is no result directory: {self.database} does not exist"
+            )
+        try:
+            uri = f"{self.database.absolute().as_uri()}?mode=ro"
+            connection = sqlite3.connect(uri, uri=True, timeout=BUSY, isolation_level=None)
+            try:
+                connection.execute("SELECT count(*) FROM studies")
+            except BaseException:
+                connection.close()
+                raise
+        except sqlite3.Error as error:
+            raise InvalidInput(f"{self.database} cannot be read: {error}") from error
+        return connection
+
+    @contextmanager
+    def _transaction(self) -> Iterator[sqlite3.Connection]:
+        if self._connection is None:
+            self.create()
+        connection = cast(sqlite3.Connection, self._connection)
+        with self._errors():
+            connection.execute("BEGIN IMMEDIATE")
+            try:
+                yield connection
+            except BaseException:
+                if connection.in_transaction:
+                    connection.execute("ROLLBACK")
+                raise
+            connection.execute("COMMIT")
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        try:
+            yield
+        except sqlite3.Error as error:
+            raise StoreError(f"{self.database} cannot be written: {error}") from error
 
 
-def _trajectory_table(trajectory: Trajectory) -> pa.Table:
+class Planned:
+    """A plan compared with the finished runs of a directory.
+
+    Parameters
+    ----------
+    total : int
+        Runs of the plan.
+    missing : array of int
+        The places in the plan of those to do.
+    others : int
+        Finished runs of the directory that the plan does not have.
+    versions : tuple of str
+        Versions of the code that the finished ones were done with.
+    """
+
+    def __init__(
+        self, total: int, missing: array[int], others: int, versions: tuple[str, ...]
+    ) -> None:
+        self.total = total
+        self.missing = missing
+        self.others = others
+        self.versions = versions
+
+
+def _row(**groups: Any) -> dict[str, Any]:
+    """The columns of a record with some groups, in order."""
+    return RunRecord(run_id="", variant="", status="", **groups).row()
+
+
+def _make_tables(connection: sqlite3.Connection) -> None:
+    empty = _row()
+    columns = ", ".join(f"{_quoted(name)} {_TYPED.get(name, 'TEXT')}" for name in empty)
+    connection.execute(f"CREATE TABLE IF NOT EXISTS runs ({columns})")
+    connection.execute(
+        "CREATE TABLE IF NOT EXISTS studies (study TEXT PRIMARY KEY, about TEXT, used REAL)"
+    )
+
+
+def _columns(connection: sqlite3.Connection) -> list[tuple[str, str]]:
+    """Name and type of every column: those of all runs first, the groups in their places."""
+    found = [(row[1], row[2]) for row in connection.execute("PRAGMA table_info(runs)")]
+    order = list(_column_order())
+
+    def place(entry: tuple[str, str]) -> int:
+        prefix = next((p for p in GROUPS.values() if entry[0].startswith(p)), entry[0])
+        return order.index(prefix)
+
+    return sorted(found, key=place)
+
+
+def _column_order() -> Iterator[str]:
+    """Names of the columns in order, the prefixes of groups in the places of these."""
+    marked = {name: {"": ""} for name in GROUPS}
+    return iter(_row(**marked))
+
+
+def _batches(
+    connection: sqlite3.Connection, names: Mapping[str, str], study: str | None = None
+) -> Iterator[list[dict[str, Any]]]:
+    where, parameters = _where(study)
+    columns = ", ".join(f"runs.{_quoted(name)}" for name in names)
+    order = _ORDER.format(where=where)
+    cursor = connection.execute(f"SELECT {columns} {order}", parameters)
+    flags = [name for name, kind in names.items() if kind == "BOOLEAN"]
+    while rows := cursor.fetchmany(ROWS_AT_ONCE):
+        found = [dict(zip(names, row, strict=True)) for row in rows]
+        for row in found:
+            for name in flags:  # SQLite returns them as integers
+                if row[name] in (0, 1):
+                    row[name] = bool(row[name])
+        yield found
+
+
+def _where(study: str | None) -> tuple[str, tuple[str, ...]]:
+    return ("", ()) if study is None else ("WHERE study = ?", (study,))
+
+
+def _arrow_type(connection: sqlite3.Connection, name: str, kind: str) -> pa.DataType:
+    """The type of a column in Parquet: that of its values where they are not all as declared."""
+    found = connection.execute(f"SELECT DISTINCT typeof({_quoted(name)}) FROM runs").fetchall()
+    held = {row[0] for row in found} - {"null"}
+    if "TEXT" in kind or "text" in held:
+        return pa.string()
+    if kind == "REAL" or "real" in held:
+        return pa.float64()
+    return pa.bool_() if kind == "BOOLEAN" else pa.int64()
+
+
+def _quoted(name: str) -> str:
+    return '"' + name.replace('"', '""') + '"'
+
+
+def trajectory_bytes(trajectory: Trajectory) -> bytes:
+    """The Parquet file of a trajectory."""
     units = {"time": "s", **trajectory.units}
     names = ("time", *trajectory.columns)
     fields = [pa.field(n, pa.float64(), metadata={"unit": units.get(n, "")}) for n in names]
-    arrays = [trajectory.time, *trajectory.values.T]
-    return pa.Table.from_arrays([pa.array(a) for a in arrays], schema=pa.schema(fields))
-
-
-def _write_whole(table: pa.Table, file: Path, options: Mapping[str, object] = _MANY_ROWS) -> None:
-    """Write a Parquet file that appears complete or not at all."""
-    replace_whole(file, lambda temporary: pq.write_table(table, temporary, **options))
+    arrays = [pa.array(values) for values in (trajectory.time, *trajectory.values.T)]
+    stream = io.BytesIO()
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+    pq.write_table(table, stream, compression="zstd")
+    return stream.getvalue()
 
 
 def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
@@ -249,28 +498,5 @@ def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
     except OSError as error:
         raise StoreError(f"{file} cannot be written: {error}") from error
     finally:
-        _discard(temporary)
-
-
-def _is_readable(file: Path) -> bool:
-    try:
-        pq.read_metadata(file)
-    except (OSError, pa.ArrowInvalid):
-        return False
-    return True
-
-
-def _discard(file: Path) -> None:
-    try:
-        file.unlink(missing_ok=True)
-    except OSError:  # the error that brought us here says why; this one would only hide it
-        return
-
-
-def _read(file: Path, missing: str) -> pa.Table:
-    try:
-        return pq.ParquetFile(file).read()
-    except FileNotFoundError as error:
-        raise InvalidInput(f"{missing}: {file} does not exist") from error
-    except (OSError, pa.ArrowInvalid) as error:
-        raise InvalidInput(f"{file} is damaged: {str(error).splitlines()[0]}") from error
+        with suppress(OSError):  # the error that brought us here says why; this one would hide it
+            temporary.unlink(missing_ok=True)

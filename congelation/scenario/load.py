@@ -17,7 +17,6 @@ from congelation.fmi.description import describe
 from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import (
     EXPERIMENT,
-    Case,
     FigureSpec,
     MetricSpec,
     Scenario,
@@ -38,18 +37,6 @@ _KEYS = (
     "figures",
     "variants",
     "sweep",
-)
-# Columns that every row has; a metric of the same name would hide one.
-_RESERVED = (
-    "run_id",
-    "variant",
-    "replicate",
-    "status",
-    "message",
-    "macro_steps",
-    "wall_time",
-    "seed",
-    "code_version",
 )
 _BUILD = "build it with: congelation build SPEC.toml"
 
@@ -138,7 +125,7 @@ def _find_fmu(section: Section) -> Path:
 
 
 def _metric(section: Section, name: str) -> MetricSpec:
-    if name in _RESERVED or "." in name or not name.strip():
+    if "." in name or not name.strip():
         raise InvalidInput(f"{section.file}: {section.path}: choose a name other than '{name}'")
     section.require("metric")
     found = section.attempt("metric", partial(metric, section.text("metric")))
@@ -269,12 +256,9 @@ def _with_record(document: Section, scenario: Scenario) -> Scenario:
     for spec in scenario.metrics:
         section = document.section("metrics").section(spec.name)
         if metric(spec.metric).loop:
-            case = replace(scenario, experiment=_recording(experiment, columns)).case({})
-            states = section.attempt("metric", partial(_loop_states, case))
-            group = section.attempt("metric", partial(resolved.recorded, states))
-        else:
-            group = section.attempt("of", partial(resolved.recorded, [spec.of]))
-            section.attempt("of", partial(metric(spec.metric).check_size, len(group)))
+            continue  # the states of the loop are added where runs are planned
+        group = section.attempt("of", partial(resolved.recorded, [spec.of]))
+        section.attempt("of", partial(metric(spec.metric).check_size, len(group)))
         columns += group
         measured += group
     for figure, section in zip(scenario.figures, document.sections("figures"), strict=True):
@@ -289,10 +273,3 @@ def _with_record(document: Section, scenario: Scenario) -> Scenario:
 
 def _recording(experiment: Section, columns: Iterable[Recorded]) -> dict[str, object]:
     return {**experiment.data, "record": list(dict.fromkeys(c.name for c in columns))}
-
-
-def _loop_states(case: Case) -> tuple[str, ...]:
-    # Here, as it brings CasADi, which scenarios without such a metric do without.
-    from congelation.verify.lyapunov import loop_states
-
-    return loop_states(case)

@@ -23,18 +23,14 @@ from __future__ import annotations
 
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import InvalidInput, nearest
-
-if TYPE_CHECKING:  # a scenario names its metrics, so its module imports this one's
-    from congelation.scenario.scenario import Case
 
 __all__ = ["ENTRY_POINTS", "METRICS", "Metric", "metric", "norm"]
 
@@ -54,7 +50,8 @@ class Metric:
     evaluate : callable
         ``evaluate(time, values, **options) -> float or None`` with `time` (N,), `values` (N, M)
         and real-valued keyword-only options; those without a default must be given. None, or nan,
-        is no answer: the run's column is empty.
+        is no answer: the run's column is empty. None: the function is not in this room; those of
+        the loop are in `congelation.verify.measure`.
     definition : str
         One line: the formula and its source.
     unit : callable
@@ -71,7 +68,7 @@ class Metric:
     """
 
     name: str
-    evaluate: Callable[..., float | None]
+    evaluate: Callable[..., float | None] | None
     definition: str
     unit: Callable[[str], str]
     scalar: bool = False
@@ -82,12 +79,21 @@ class Metric:
     @property
     def options(self) -> dict[str, bool]:
         """Names of the options; True marks those that must be given."""
+        if self.evaluate is None:
+            return {}
         parameters = inspect.signature(self.evaluate).parameters.values()
         return {
             p.name: p.default is inspect.Parameter.empty
             for p in parameters
             if p.kind is inspect.Parameter.KEYWORD_ONLY
         }
+
+    @property
+    def function(self) -> Callable[..., float | None]:
+        """`evaluate`, where it is there."""
+        if self.evaluate is None:
+            raise InvalidInput(f"metric '{self.name}' is only declared; give it a function")
+        return self.evaluate
 
     def check_size(self, variables: int) -> None:
         """Raise InvalidInput unless the metric can be of that many variables."""
@@ -163,23 +169,6 @@ def drift(time: Array, values: Array) -> float:
     return float(norm(values[-1:] - values[:1])[0])
 
 
-def lyapunov(case: Case, time: Array, columns: Sequence[str], values: Array) -> float:
-    """The largest relative margin of the Lyapunov certificate along the run."""
-    # Here, as it brings CasADi, whose import the workers of other sweeps do without.
-    from congelation.verify.lyapunov import along
-
-    return along(case, time, columns, values).worst
-
-
-def deviation(case: Case, time: Array, columns: Sequence[str], values: Array) -> float:
-    """The largest distance from the monolithic solution, relative to a variable's peak."""
-    from congelation.results.records import Trajectory  # as above
-    from congelation.verify.reference import compare, reference
-
-    found = compare(reference(case), Trajectory(time, tuple(columns), values, {}))
-    return max(entry.relative for entry in found)
-
-
 def _same(unit: str) -> str:
     return unit
 
@@ -253,7 +242,7 @@ _BUILT_IN = (
     ),
     Metric(
         "lyapunov",
-        lyapunov,
+        None,
         "max_t of (worst V' over the admitted theta + claimed rate) / (sum of |terms|), ell at the"
         " centre of theta's box; above 1e-9 the certificate fails (Chen and Astolfi 2018)",
         _ratio,
@@ -261,7 +250,7 @@ _BUILT_IN = (
     ),
     Metric(
         "deviation",
-        deviation,
+        None,
         "max over time and recorded variables of |co-simulated - monolithic| / peak, the latter by"
         " DOP853 (Hairer, Norsett and Wanner 1993): the error of the coupling",
         _ratio,

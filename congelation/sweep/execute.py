@@ -1,99 +1,222 @@
-"""One run: simulated, measured, and made into a row and a trajectory."""
+"""One run: simulated, measured, and reported with its trajectory. Called in worker processes."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 from congelation.cosim.master import perform
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
+from congelation.cosim.result import Result
+from congelation.errors import CongelationError, InvalidInput
 from congelation.fmi.description import describe
-from congelation.results.identity import code_version
-from congelation.results.records import Trajectory
-from congelation.scenario.scenario import Scenario
-from congelation.sweep.plan import Run
+from congelation.results.identity import NUMERICS_VERSION
+from congelation.results.record import Trajectory
+from congelation.results.store import Store, trajectory_bytes
+from congelation.scenario.axes import Settings
+from congelation.scenario.scenario import Case, Scenario
 from congelation.verify.measure import Points, measure
 
-__all__ = ["execute", "lost_row"]
+__all__ = [
+    "ERROR",
+    "REFUSED",
+    "TIMED_OUT",
+    "WORKER_DIED",
+    "Job",
+    "Outcome",
+    "Task",
+    "execute",
+]
 
-Progress = Callable[[float], None]
+REFUSED = "REFUSED"
+"""Status of a run that could not begin; its message is that of the InvalidInput."""
+
+ERROR = "ERROR"
+"""Status of a run that ended with an error of the program, or of a metric's."""
+
+TIMED_OUT = "TIMED_OUT"
+"""Status of a run that was ended because it took longer than it may."""
+
+WORKER_DIED = "WORKER_DIED"
+"""Status of a run that ended its worker process twice."""
 
 
-def execute(
-    run: Run, scenario: Scenario, pool: SlavePool, progress: Progress | None = None
-) -> tuple[dict[str, Any], Trajectory]:
-    """Simulate a run.
+@dataclass(frozen=True)
+class Task:
+    """A run to do, small enough to send.
+
+    `number` is its place in the plan. `fraction` is the part of it to do: less than 1 in order to
+    estimate what it takes, and nothing is kept then.
+    """
+
+    run_id: str
+    number: int
+    variant: str
+    settings: Settings
+    replicate: int | None = None
+    fraction: float = 1.0
+
+
+@dataclass(frozen=True)
+class Job:
+    """What all runs of a study share.
 
     Parameters
     ----------
-    run : Run
+    study : str
     scenario : Scenario
-        The one that `run` was planned from.
+        Without its sweep and its text, which no worker needs.
+    folder : Path or None
+        The result directory, absolute; None where it cannot be reached, and trajectories are
+        returned.
+    trajectories : bool
+        Whether they are kept.
+    verify : bool
+        Whether runs are compared with the monolithic solution.
+    timeout : float, optional
+        Seconds that a run may take.
+    swept : bool
+        Whether the study has the points of the sweep.
+    fmus : mapping
+        SHA-256 of each component's FMU.
+    numerics : int
+        Version of the numerics that the study was planned with.
+    """
+
+    study: str
+    scenario: Scenario
+    folder: Path | None
+    trajectories: bool
+    verify: bool
+    timeout: float | None
+    swept: bool
+    fmus: Mapping[str, str]
+    numerics: int
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended: the part of its record that is not known before."""
+
+    status: str
+    message: str
+    cause: str | None = None
+    metrics: Mapping[str, float | None] = field(default_factory=dict)
+    deviations: Mapping[str, float] = field(default_factory=dict)
+    steps: int | None = None
+    rejected_steps: int | None = None
+    iterations: int | None = None
+    estimated_error: float | None = None
+    wall_time: float | None = None
+    worst_margin: float | None = None
+
+
+def execute(
+    job: Job, task: Task, pool: SlavePool, progress: Callable[[float], None]
+) -> tuple[Outcome, bytes | None]:
+    """Do a run, and write its trajectory if it is kept and the folder can be reached.
+
+    Parameters
+    ----------
+    job : Job
+    task : Task
     pool : SlavePool
         Lends the FMU instances.
-    progress : callable, optional
+    progress : callable
         Called now and then with the fraction done.
 
     Returns
     -------
-    row : dict
-        By column: identity, settings, status, metrics (None unless the run reached its stop
-        time) and cost.
-    trajectory : Trajectory
-        Everything recorded up to the point where the run ended.
+    outcome : Outcome
+        Whatever happens, except for a full disk.
+    trajectory : bytes or None
+        The trajectory's file where it is kept and was not written.
+
+    Raises
+    ------
+    StoreError
+        If the trajectory cannot be written: others could not be either.
     """
-    experiment = run.case.experiment
-    output = experiment.output
-    points = Points(scenario.measured)
+    try:
+        outcome, trajectory = _simulated(job, task, pool, progress)
+    except CongelationError as error:
+        return Outcome(REFUSED, str(error)), None
+    except (Exception, SystemExit) as error:  # whatever it is, the run is a row
+        return Outcome(ERROR, f"{type(error).__name__}: {error}"), None
+    if not job.trajectories:
+        return outcome, None
+    content = trajectory_bytes(trajectory)
+    if job.folder is None or task.fraction < 1.0:
+        return outcome, content
+    Store(job.folder).write_trajectory(task.run_id, content)
+    return outcome, None
+
+
+def _simulated(
+    job: Job, task: Task, pool: SlavePool, progress: Callable[[float], None]
+) -> tuple[Outcome, Trajectory]:
+    scenario = job.scenario
+    case = scenario.case(task.settings)
+    found = {c.name: describe(c.fmu).sha256 for c in case.system.components}
+    if job.numerics != NUMERICS_VERSION or found != job.fmus:
+        raise InvalidInput(
+            "congelation or the FMUs are not those that planned the study; install the same "
+            "version everywhere, leave both alone meanwhile, and --resume"
+        )
+    experiment = case.experiment
+    if not job.trajectories and scenario.measured is not None:
+        experiment = replace(experiment, record=scenario.measured)
+    length = experiment.stop_time - experiment.start_time
+    if task.fraction < 1.0:
+        experiment = replace(experiment, stop_time=experiment.start_time + task.fraction * length)
+    expected = None
+    if job.verify:
+        # Here, as it brings CasADi and scipy, which workers of other studies start without.
+        from congelation.verify.reference import compare, reference
+
+        expected = reference(replace(case, experiment=experiment))
+    # Metrics are of every communication point, whatever rows are kept.
+    output, points = experiment.output, Points(scenario.measured)
     apart = output is not None and bool(scenario.metrics)
     result = perform(
-        run.case.system,
+        case.system,
         experiment,
         output=[output, Output(sink=points)] if output is not None and apart else None,
         progress=progress,
         pool=pool,
     )
-    kept = Trajectory(result.time, result.names, result.values, _units(run, result.names))
-    metrics: Mapping[str, float | None] = dict.fromkeys(spec.name for spec in scenario.metrics)
-    if result.completed:  # a metric of half a run would pass for one of a whole run
-        measured = points.with_rows(kept) if apart else kept
-        metrics = measure(scenario.metrics, run.case, measured)
-    steps, wall_time = result.statistics.macro_steps, result.statistics.wall_time
-    return _row(run, result.status.name, result.message, metrics, steps, wall_time), kept
+    kept = Trajectory(result.time, result.names, result.values, _units(case, result.names))
+    if not result.completed:  # a metric of half a run would pass for one of a whole run
+        return _outcome(result), kept
+    measured_case = replace(case, experiment=experiment)
+    metrics = measure(scenario.metrics, measured_case, points.with_rows(kept) if apart else kept)
+    margins = [metrics[m.name] for m in scenario.metrics if m.metric == "lyapunov"]
+    deviations = compare(expected, kept) if expected is not None else ()
+    return replace(
+        _outcome(result),
+        metrics=metrics,
+        worst_margin=max((m for m in margins if m is not None), default=None),
+        deviations={deviation.variable: deviation.relative for deviation in deviations},
+    ), kept
 
 
-def lost_row(run: Run, scenario: Scenario, status: str, message: str) -> dict[str, Any]:
-    """The row of a run that has no result: refused, or lost with its process."""
-    return _row(run, status, message, dict.fromkeys(m.name for m in scenario.metrics), None, None)
+def _outcome(result: Result) -> Outcome:
+    cost = result.statistics
+    return Outcome(
+        result.status.name,
+        result.message,
+        steps=cost.macro_steps,
+        rejected_steps=cost.rejected,
+        iterations=cost.iterations,
+        estimated_error=cost.estimated_error,
+        wall_time=cost.wall_time,
+    )
 
 
-def _row(
-    run: Run,
-    status: str,
-    message: str,
-    metrics: Mapping[str, float | None],
-    macro_steps: int | None,
-    wall_time: float | None,
-) -> dict[str, Any]:
-    return {
-        "run_id": run.run_id,
-        "variant": run.variant,
-        **({} if run.replicate is None else {"replicate": run.replicate}),
-        **run.settings,
-        "status": status,
-        "message": message,
-        **metrics,
-        "macro_steps": macro_steps,
-        "wall_time": wall_time,
-        **{f"{c.name}.sha256": describe(c.fmu).sha256 for c in run.case.system.components},
-        "seed": run.seed,
-        "code_version": code_version(),
-    }
-
-
-def _units(run: Run, columns: Sequence[str]) -> dict[str, str]:
-    descriptions = {c.name: describe(c.fmu) for c in run.case.system.components}
+def _units(case: Case, columns: Sequence[str]) -> dict[str, str]:
+    descriptions = {c.name: describe(c.fmu) for c in case.system.components}
     parts = {column: column.partition(".") for column in columns}
     return {
         column: descriptions[name].variables[variable].unit

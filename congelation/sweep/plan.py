@@ -1,105 +1,305 @@
-"""The runs of a scenario: its variants, at every point of a sweep."""
+"""Plans: what a study consists of, what of it is finished, and what each run is identified by.
+
+The runs of a plan are generated as they are needed and never all held, so a plan of a million
+runs takes little memory. `run` plans the variants of a scenario, `sweep` every variant at every
+point of its sweep.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+import hashlib
+import itertools
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import cast
 
 from congelation.cosim.coupling import refuse_tolerance
+from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
 from congelation.fmi.description import describe
-from congelation.results.identity import code_version, content_hash, file_hash
-from congelation.scenario.axes import Settings
-from congelation.scenario.scenario import EXPERIMENT, Case, Experiment, Scenario
+from congelation.results.identity import (
+    ID_LENGTH,
+    NUMERICS_VERSION,
+    code_version,
+    content_hash,
+    file_hash,
+    text_of,
+)
+from congelation.results.provenance import about
+from congelation.results.record import RunRecord
+from congelation.results.store import Store
+from congelation.scenario.axes import Settings, Sweep
+from congelation.scenario.metrics import metric
+from congelation.scenario.scenario import EXPERIMENT, Case, Scenario
 from congelation.scenario.start_values import Scalar
+from congelation.sweep.execute import ERROR, REFUSED, TIMED_OUT, WORKER_DIED, Job, Outcome, Task
 
-__all__ = ["Run", "plan_run", "plan_runs", "varied_settings"]
+__all__ = ["FAILURES", "Plan", "plan_study", "varied_settings"]
+
+FAILURES = (
+    *(status.name for status in Status if status is not Status.COMPLETED),
+    REFUSED,
+    ERROR,
+    TIMED_OUT,
+    WORKER_DIED,
+)
+"""How a run may end other than at its stop time."""
 
 
 @dataclass(frozen=True)
-class Run:
-    """One simulation to do; equal content has an equal `run_id`.
+class Plan:
+    """A study to carry out.
 
-    `settings` has the value of every setting that any run of the plan changes, None for a start
-    value left to the FMU; `seed` is that of the sweep which drew them, None outside of sweeps,
-    and `replicate` the number of the repetition, None without replicates.
+    Parameters
+    ----------
+    scenario : Scenario
+        With every column recorded that its metrics need.
+    store : Store
+    job : Job
+    total : int
+        Runs of the study.
+    missing : sequence of int
+        The places of those to do among all that are planned.
+    others : int
+        Finished runs in the result directory that are none of these.
+    versions : tuple of str
+        Versions of the code that finished ones of these were done with.
+    base : mapping
+        The values without any change of the settings that differ between runs.
     """
 
-    run_id: str
-    variant: str
-    settings: Mapping[str, Scalar | None]
-    case: Case
-    seed: int | None = None
-    replicate: int | None = None
+    scenario: Scenario
+    store: Store
+    job: Job
+    total: int
+    missing: Sequence[int]
+    others: int
+    versions: tuple[str, ...]
+    base: Mapping[str, Scalar | None]
+
+    def tasks(self, places: Sequence[int] | None = None) -> Iterator[Task]:
+        """The missing runs, or those at some places of the plan, in order."""
+        identity = _Identity(self.scenario)
+        wanted = iter(self.missing if places is None else places)
+        place = next(wanted, None)
+        for number, (variant, settings, replicate) in enumerate(
+            _runs(self.scenario, self.job.swept)
+        ):
+            if number == place:
+                run_id = identity.run_id(variant, settings)
+                yield Task(run_id, number, variant, settings, replicate)
+                place = next(wanted, None)
+            if place is None:
+                return
+
+    def record(self, task: Task, outcome: Outcome) -> RunRecord:
+        """The record of a run that ended."""
+        none = dict.fromkeys(m.name for m in self.scenario.metrics)
+        return RunRecord(
+            run_id=task.run_id,
+            study=self.job.study,
+            number=task.number,
+            variant=task.variant,
+            replicate=task.replicate,
+            settings={name: task.settings.get(name, value) for name, value in self.base.items()},
+            fmus=self.job.fmus,
+            seed=_sweep(self.scenario).seed if self.job.swept else None,
+            code_version=code_version(),
+            numerics_version=NUMERICS_VERSION,
+            **{**asdict(outcome), "metrics": {**none, **outcome.metrics}},
+        )
 
 
-def varied_settings(scenario: Scenario, swept: Iterable[str] = ()) -> tuple[str, ...]:
-    """Names of the settings that a variant changes, and of those that are swept."""
-    by_variant = (name for variant in scenario.variants for name in variant.settings)
-    return tuple(dict.fromkeys((*by_variant, *swept)))
-
-
-def plan_runs(scenario: Scenario) -> Iterator[Run]:
-    """One run per variant."""
-    varied = varied_settings(scenario)
-    for variant in scenario.variants:
-        yield plan_run(scenario, variant.name, variant.settings, varied)
-
-
-def plan_run(
+def plan_study(
     scenario: Scenario,
-    variant: str,
-    settings: Settings,
-    varied: Sequence[str],
-    seed: int | None = None,
-    replicate: int | None = None,
-) -> Run:
-    """The run of a scenario with some settings; `varied` names those that its row shows.
+    folder: Path,
+    *,
+    swept: bool,
+    resume: bool = False,
+    retry: Collection[str] = (),
+    verify: bool = False,
+    timeout: float | None = None,
+    write: bool = True,
+) -> Plan:
+    """Compare a study with what is finished of it.
 
-    The seed of the sweep and the number of the replicate are no part of what it consists of.
+    Parameters
+    ----------
+    scenario : Scenario
+    folder : Path
+        The result directory.
+    swept : bool
+        Whether variants are run at every point of the scenario's sweep.
+    resume : bool
+        Whether the directory may have runs; those of the study are not done again. Without a
+        sweep, all of them are done again in any case.
+    retry : collection of str
+        Those of `FAILURES` that are done again nevertheless.
+    verify : bool
+        Whether runs are compared with the monolithic solution.
+    timeout : float, optional
+        Seconds that a run may take, in place of those of the sweep.
+    write : bool
+        False: the directory is not made, and nothing is written into it.
 
     Raises
     ------
     InvalidInput
-        If the experiment does not stand with these settings.
+        If the scenario has no sweep, does not stand at some point of it, or the directory has
+        other runs and `resume` is false.
     """
-    case = scenario.case(settings)
-    _require_steps(scenario, case.experiment)
-    content = {
-        "variant": variant,
-        "components": [
-            [c.name, describe(c.fmu).sha256, {k: _content(v) for k, v in c.start.items()}]
-            for c in case.system.components
-        ],
-        "connections": [str(connection) for connection in case.system.connections],
-        "experiment": asdict(case.experiment),
-        "metrics": [[m.name, m.metric, m.of, dict(m.options)] for m in scenario.metrics],
-        "code": code_version(),
-    }
-    shown = {name: _setting(case, name) for name in varied}
-    return Run(content_hash(content), variant, shown, case, seed, replicate)
+    for status in retry:
+        if status not in FAILURES:
+            raise InvalidInput(f"'{status}' is no status to retry; valid: {', '.join(FAILURES)}")
+    if swept and scenario.sweep is None:
+        raise InvalidInput(f"{scenario.file}: no [sweep]; give its axes, or use: congelation run")
+    store = Store(folder)
+    done = store.count()
+    if swept and done and not resume:
+        raise InvalidInput(
+            f"{folder} holds {done} finished runs; give --resume to go on, or another --out"
+        )
+    if done and not swept and (title := store.about().get("title")) != scenario.title:
+        raise InvalidInput(
+            f"{folder} holds runs of another scenario, '{title}'; give another --out"
+        )
+    if done and not swept and store.about()["swept"]:
+        raise InvalidInput(f"{folder} holds a sweep; give another --out")
+    scenario = _complete(scenario)
+    identity = _Identity(scenario)
+    if write:
+        store.create()
+    found = store.plan(
+        (identity.run_id(variant, settings) for variant, settings, _ in _runs(scenario, swept)),
+        retry if swept else None,
+    )
+    if found.total == 0:
+        raise InvalidInput(f"{scenario.file}: sweep.constraints leave no point")
+    sweep = _sweep(scenario)
+    described = {**about(scenario, varied_settings(scenario, swept)), "swept": swept}
+    study = content_hash({key: v for key, v in described.items() if key != "versions"})
+    job = Job(
+        study=study,
+        scenario=replace(scenario, sweep=None, text=""),
+        folder=folder.absolute(),
+        trajectories=sweep.trajectories if swept else True,
+        verify=verify,
+        timeout=timeout if timeout is not None or not swept else sweep.timeout,
+        swept=swept,
+        fmus={c.name: describe(c.fmu).sha256 for c in scenario.system.components},
+        numerics=NUMERICS_VERSION,
+    )
+    if write:
+        store.begin(study, {**described, "planned": found.total})
+    case = scenario.case({})
+    base = {name: _setting(case, name) for name in varied_settings(scenario, swept)}
+    return Plan(
+        scenario, store, job, found.total, found.missing, found.others, found.versions, base
+    )
 
 
-def _require_steps(scenario: Scenario, experiment: Experiment) -> None:
-    """Raise InvalidInput unless the coupling can do with a tolerance, if there is one.
+def varied_settings(scenario: Scenario, swept: bool) -> tuple[str, ...]:
+    """Names of the settings that a variant changes, and of those that are swept."""
+    by_variant = (name for variant in scenario.variants for name in variant.settings)
+    by_sweep = _sweep(scenario).names() if swept else ()
+    return tuple(dict.fromkeys((*by_variant, *by_sweep)))
 
-    Only of a whole run: a variant may give the one, and a point of a sweep the other.
-    """
-    if experiment.tolerance is None:
-        return
+
+def _sweep(scenario: Scenario) -> Sweep:
+    return scenario.sweep if scenario.sweep is not None else Sweep()
+
+
+def _runs(scenario: Scenario, swept: bool) -> Iterator[tuple[str, Settings, int | None]]:
+    """Variant, settings and replicate of every run, checked against the experiment."""
+    sweep = _sweep(scenario) if swept else Sweep()
+    check = _Check(scenario, sweep)
+    repetitions = tuple(sweep.repetitions())
+    points = _points(scenario, sweep)
+    for point, (replicate, seeds) in (
+        itertools.product(points, repetitions) if swept else (({}, (None, {})),)
+    ):
+        for variant in scenario.variants:
+            settings = {**variant.settings, **point, **seeds}
+            check(settings)
+            yield variant.name, settings, replicate
+
+
+def _points(scenario: Scenario, sweep: Sweep) -> Iterator[dict[str, Scalar]]:
     try:
-        refuse_tolerance(experiment.chosen_coupling, experiment.tolerance)
+        yield from sweep.points()
     except InvalidInput as error:
-        raise InvalidInput(f"{scenario.file}: {EXPERIMENT}.tolerance: {error}") from error
+        raise InvalidInput(f"{scenario.file}: sweep.constraints: {error}") from error
 
 
-def _content(value: object) -> object:
-    """A start value as content; of a file that one names, what is in it."""
-    if isinstance(value, str) and Path(value).is_file():
-        return file_hash(Path(value))
-    return value
+class _Check:
+    """Raises InvalidInput where the experiment does not stand with the settings of a run."""
+
+    def __init__(self, scenario: Scenario, sweep: Sweep) -> None:
+        self._scenario = scenario
+        self._axes = [axis for axis in sweep.axes if axis.name.startswith(f"{EXPERIMENT}.")]
+        # Few experiments differ; all runs of a plan with a million runs are checked in seconds.
+        self._checked = lru_cache(maxsize=1024)(self._check)
+
+    def __call__(self, settings: Settings) -> None:
+        self._checked(tuple((k, v) for k, v in settings.items() if k.startswith(f"{EXPERIMENT}.")))
+
+    def _check(self, settings: tuple[tuple[str, Scalar], ...]) -> None:
+        scenario = self._scenario
+        try:
+            experiment = scenario.case(dict(settings)).experiment
+            if experiment.tolerance is None:
+                return
+            # Only of a whole run: a variant may give the tolerance, and a point the coupling.
+            try:
+                refuse_tolerance(experiment.chosen_coupling, experiment.tolerance)
+            except InvalidInput as error:
+                raise InvalidInput(f"{scenario.file}: {EXPERIMENT}.tolerance: {error}") from error
+        except InvalidInput as error:
+            if not self._axes:
+                raise
+            drawn = " and ".join(f"{a.place} draws {a.name} ({a.distribution})" for a in self._axes)
+            raise InvalidInput(f"{error}; {drawn}") from error
+
+
+class _Identity:
+    """The run_ids of a plan: hashes of a scenario's content and of the settings of each run.
+
+    Title, figures, seed and number of a replicate are no part of what a run consists of.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        case = scenario.case({})
+        self._of_text = lru_cache(maxsize=1024)(_text_content)
+
+        content = {
+            "numerics": NUMERICS_VERSION,
+            "components": [
+                [c.name, describe(c.fmu).sha256, {k: self._content(v) for k, v in c.start.items()}]
+                for c in case.system.components
+            ],
+            "connections": [str(connection) for connection in case.system.connections],
+            "experiment": asdict(case.experiment),
+            "metrics": [[m.name, m.metric, m.of, dict(m.options)] for m in scenario.metrics],
+        }
+        self._base = hashlib.sha256(text_of(content))
+
+    def run_id(self, variant: str, settings: Settings) -> str:
+        digest = self._base.copy()
+        # Not as JSON, which takes three times as long: a plan may have a million runs.
+        content = sorted((name, self._content(value)) for name, value in settings.items())
+        digest.update(f"{variant!r} {content!r}".encode())
+        return digest.hexdigest()[:ID_LENGTH]
+
+    def _content(self, value: object) -> object:
+        """A start value as content; of a file that one names, what is in it."""
+        return self._of_text(value) if isinstance(value, str) else value
+
+
+def _text_content(value: str) -> str:
+    path = Path(value)
+    return file_hash(path) if path.is_file() else value
 
 
 def _setting(case: Case, name: str) -> Scalar | None:
@@ -109,3 +309,24 @@ def _setting(case: Case, name: str) -> Scalar | None:
         return cast(Scalar, getattr(case.experiment, key))
     component = next(c for c in case.system.components if c.name == owner)
     return cast(Scalar | None, component.start.get(key))  # a scenario's start values are flat
+
+
+def _complete(scenario: Scenario) -> Scenario:
+    """The scenario that also records the states of the loop, if a metric of it needs them."""
+    loops = [spec for spec in scenario.metrics if metric(spec.metric).loop]
+    if not loops:
+        return scenario
+    # Here, as it brings CasADi, which scenarios without such a metric do without.
+    from congelation.verify.lyapunov import loop_states
+
+    try:
+        states = loop_states(scenario.case({}))
+    except InvalidInput as error:
+        raise InvalidInput(f"{scenario.file}: metrics.{loops[0].name}.metric: {error}") from error
+    record = list(dict.fromkeys([*cast(Sequence[str], scenario.experiment["record"]), *states]))
+    measured = scenario.measured
+    return replace(
+        scenario,
+        experiment={**scenario.experiment, "record": record},
+        measured=None if measured is None else tuple(dict.fromkeys([*measured, *states])),
+    )

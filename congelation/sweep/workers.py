@@ -1,286 +1,444 @@
-"""The side of a sweep that runs in worker processes, here or on a cluster.
+"""Worker processes: FMUs run in them alone, so that one which crashes or hangs costs one run.
 
-A worker keeps its FMU instances between runs, writes each run into the store itself, and tells
-the parent only how the runs ended.
+Pebble starts, replaces and ends the processes. Beside its channel each process has a pipe of its
+own, through which it reports every run as it begins and ends. So one task may hold several short
+runs, a time limit holds for each of them, a row is never lost with its neighbours, and a process
+that ends, even by exit(0), is noticed at once by the end of its pipe.
 """
 
 from __future__ import annotations
 
+import ctypes
+import itertools
+import multiprocessing
 import os
-import socket
+import signal
+import sys
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnContext, SpawnProcess
+from types import ModuleType
+from typing import Any, ClassVar, NamedTuple, cast, final
 
 import psutil
+from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
 from congelation.cosim.pool import SlavePool
-from congelation.errors import CongelationError, InvalidInput
-from congelation.results.records import Row, Trajectory
-from congelation.results.store import Store, StoreError
-from congelation.scenario.axes import Settings
-from congelation.scenario.scenario import Scenario
-from congelation.sweep.execute import execute, lost_row
-from congelation.sweep.plan import Run, plan_run
+from congelation.errors import CongelationError
+from congelation.results.store import StoreError
+from congelation.sweep.execute import (
+    ERROR,
+    TIMED_OUT,
+    WORKER_DIED,
+    Job,
+    Outcome,
+    Task,
+    execute,
+)
 
-__all__ = [
-    "REFUSED",
-    "TIMED_OUT",
-    "Done",
-    "Shipment",
-    "Task",
-    "TimedOut",
-    "Work",
-    "Worker",
-    "at_work",
-    "last_words",
-    "stop_when",
-    "work",
-]
+__all__ = ["Finished", "Local", "Lost", "Progress", "Unfinished", "Workers"]
 
-REFUSED = "REFUSED"
-"""Status of a run that could not begin; its message is that of the InvalidInput."""
+TASKS_PER_WORKER = 1000
+"""After so many tasks a process is replaced: the FMUs' interpreter leaks a little with each run."""
 
-TIMED_OUT = "TIMED_OUT"
-"""Status of a run that was ended because it took longer than the sweep allows."""
+PERIOD = 0.1
+"""Seconds after which new processes and time limits are looked at."""
 
-GRACE = 5.0
-"""Seconds past the timeout after which a run that does not return from its FMUs is given up."""
+FAILED_STARTS = 5
+"""Processes that may end, one after the other, before any of them has begun a run."""
 
 
-@dataclass(frozen=True)
-class Task:
-    """A run to do, small enough to send: a worker makes the `Run` of it.
-
-    `replaces` says when the row was written that this one is to replace, None if there is none.
-    """
+class Finished(NamedTuple):
+    """A run ended; `trajectory` is that of `execute`."""
 
     run_id: str
-    variant: str
-    settings: Settings
-    replicate: int | None = None
-    replaces: int | None = None
-
-    def is_done(self, store: Store) -> bool:
-        """Whether the store holds the row that is to be made."""
-        return store.written(self.run_id) not in (None, self.replaces)
-
-    def run(self, shared: Work) -> Run:
-        """What it stands for, planned as the parent planned it."""
-        return plan_run(
-            shared.scenario,
-            self.variant,
-            self.settings,
-            shared.varied,
-            shared.seed,
-            self.replicate,
-        )
+    outcome: Outcome
+    trajectory: bytes | None = None
 
 
-@dataclass(frozen=True)
-class Work:
-    """What all tasks of a sweep share.
+class Lost(NamedTuple):
+    """A run ended its worker process, or was ended with it after its time limit."""
+
+    run_id: str
+    outcome: Outcome
+
+
+class Unfinished(NamedTuple):
+    """A run has to be submitted again, as its worker process ended before it began."""
+
+    run_id: str
+
+
+class Progress(NamedTuple):
+    """A run is under way; `fraction` of it is done."""
+
+    run_id: str
+    fraction: float
+
+
+Event = Finished | Lost | Unfinished | Progress
+
+
+class Workers(ABC):
+    """Where runs are done. Every run that is submitted has one event other than Progress.
+
+    Attributes
+    ----------
+    size : int
+        Number of workers.
+    most : int
+        Runs that one submission may have.
+    """
+
+    size: int
+    most: int
+
+    @contextmanager
+    def running(self, job: Job) -> Iterator[Workers]:
+        """The workers, ready for the runs of a study, for as long as the context lasts."""
+        try:
+            self.start(job)
+            yield self
+        finally:
+            self.stop()
+
+    @abstractmethod
+    def start(self, job: Job) -> None:
+        """Get ready for the runs of a study."""
+
+    @abstractmethod
+    def submit(self, tasks: Sequence[Task]) -> None:
+        """Let a worker do some runs, one after the other."""
+
+    @abstractmethod
+    def events(self) -> list[Event]:
+        """What has happened; waits for it, but not for long.
+
+        Raises
+        ------
+        StoreError
+            If a worker cannot write a result.
+        CongelationError
+            If workers do not start.
+        """
+
+    @abstractmethod
+    def stop(self) -> None:
+        """End the workers, and with them the runs under way."""
+
+    @property
+    def memory(self) -> int:
+        """Bytes that the workers take; 0 where this is not known."""
+        return 0
+
+
+@dataclass
+class _Batch:
+    """Runs that were submitted together; `begun` says which one is under way, and since when."""
+
+    waiting: list[Task]
+    future: ProcessFuture[None]
+    begun: tuple[str, float] | None = None
+    timed_out: bool = False
+    was_done: bool = False
+
+
+@final
+@dataclass
+class Local(Workers):
+    """Processes on this machine, started afresh: FMUs do not survive a fork.
+
+    They end with this process, also if it is killed, and Ctrl-C is this process's alone.
 
     Parameters
     ----------
-    scenario : Scenario
-        Without its sweep and its text, which no worker needs.
-    store : Store
-        With an absolute path: a worker may have another current folder.
-    varied : tuple of str
-        Names of the settings that rows show.
-    trajectories : bool
-        Whether they are kept.
-    seed : int
-        Of the sweep.
-    timeout : float, optional
-        Seconds that a run may take.
+    size : int
+    do : callable
+        What does a run, as `execute`.
     """
 
-    scenario: Scenario
-    store: Store
-    varied: tuple[str, ...]
-    trajectories: bool
-    seed: int
-    timeout: float | None = None
+    size: int = 1
+    do: Callable[..., tuple[Outcome, bytes | None]] = execute
+    most: int = 16
+    _pipes: dict[Connection, SpawnProcess] = field(default_factory=dict, init=False, repr=False)
+    _failed_starts: int = field(default=0, init=False, repr=False)
 
+    def start(self, job: Job) -> None:
+        context = SpawnContext()
+        context.Process = partial(_Process, self._pipes.__setitem__)  # type: ignore[assignment,misc]
+        self._job = job
+        self._pool = ProcessPool(
+            self.size,
+            TASKS_PER_WORKER,
+            _prepare,
+            (job, self.do),
+            context,
+        )
+        self._batches: dict[int, _Batch] = {}
+        self._doing: dict[Connection, int] = {}
+        self._numbers = itertools.count()
 
-@dataclass(frozen=True)
-class Shipment:
-    """A run that a worker could not store where it belongs: its row, and its trajectory's file."""
+    def submit(self, tasks: Sequence[Task]) -> None:
+        number = next(self._numbers)
+        with _interrupts_held():  # a pool whose threads are only half started cannot be stopped
+            try:
+                future = self._pool.schedule(_work, args=(number, tuple(tasks)))
+            except RuntimeError:  # a process died between two tasks; `events` starts a new pool
+                future = ProcessFuture()
+        self._batches[number] = _Batch(list(tasks), future)
 
-    row: Row
-    trajectory: bytes | None
+    def events(self) -> list[Event]:
+        found: list[Event] = []
+        for pipe in cast(list[Connection], wait(list(self._pipes), PERIOD)):
+            try:
+                while pipe.poll():
+                    found += self._received(pipe, pipe.recv())
+            except (EOFError, OSError):  # the process has ended, perhaps while it wrote
+                found += self._ended(pipe)
+        now, limit = time.monotonic(), self._job.timeout
+        for number, batch in list(self._batches.items()):
+            # What was sent before the future was done is certainly read the next time.
+            was_done, batch.was_done = batch.was_done, batch.future.done()
+            if was_done and batch.begun is None:
+                # Its process ended between taking the task and its first run, or the pool broke.
+                found += map(Unfinished, self._dropped(number))
+            elif was_done and batch.begun is not None and (error := _error(batch.future)):
+                run_id, outcome = batch.begun[0], Outcome(ERROR, f"{type(error).__name__}: {error}")
+                self._doing = {pipe: n for pipe, n in self._doing.items() if n != number}
+                found += [Lost(run_id, outcome), *map(Unfinished, self._dropped(number)[1:])]
+            elif limit is not None and batch.begun is not None and now - batch.begun[1] > limit:
+                batch.timed_out = True
+                batch.future.cancel()  # ends the process, whatever it does
+        if self._failed_starts > FAILED_STARTS * self.size:
+            raise CongelationError("worker processes end before they begin a run; see above")
+        if self._batches and not self._pool.active:  # a process died in between two tasks
+            for number in list(self._batches):
+                found += map(Unfinished, self._dropped(number))
+            self._failed_starts += 1
+            self.stop()
+            self.start(self._job)
+        return found
 
+    def stop(self) -> None:
+        with _interrupts_held():
+            self._pool.stop()
+            self._pool.join()
+        for pipe in self._pipes:
+            pipe.close()
+        self._pipes.clear()
 
-@dataclass(frozen=True)
-class Done:
-    """What a worker tells of its tasks: how each run ended, and the memory that it has now."""
+    @property
+    def memory(self) -> int:
+        """Bytes that the processes have resident."""
+        total = 0
+        for process in list(self._pipes.values()):
+            try:
+                total += psutil.Process(process.pid).memory_info().rss
+            except psutil.Error:  # it has just ended
+                continue
+        return total
 
-    worker: str
-    statuses: tuple[str, ...]
-    memory: int
-    shipments: tuple[Shipment, ...] = ()
+    def _received(self, pipe: Connection, message: tuple[Any, ...]) -> list[Event]:
+        kind, number, *rest = message
+        batch = self._batches.get(number)
+        if batch is None:  # its runs have been given up
+            return []
+        if kind == "begin":
+            batch.begun = (rest[0], rest[1])
+            self._doing[pipe] = number
+            self._failed_starts = 0
+        elif kind == "progress":
+            return [Progress(*rest)]
+        elif kind == "unwritten":
+            raise StoreError(rest[0])
+        else:
+            batch.begun = None
+            batch.waiting.pop(0)
+            if not batch.waiting:
+                del self._batches[number], self._doing[pipe]
+            return [Finished(*rest)]
+        return []
 
-
-class _Stopped(Exception):
-    """The parent asked to stop."""
-
-
-class TimedOut(CongelationError):
-    """A run took longer than it may."""
-
-
-class Worker:
-    """What a worker process holds between tasks."""
-
-    def __init__(self, shared: Work) -> None:
-        self.shared = shared
-        self.pool = SlavePool()
-        self._deadline: float | None = None
-
-    def do(self, task: Task) -> str:
-        """Do and store one run; returns its status."""
-        shared = self.shared
-        if task.is_done(shared.store):  # by a worker that died before it could tell
-            return str(shared.store.row(task.run_id)["status"])
-        run = self.run(task)
-        trajectory: Trajectory | None = None
-        try:
-            row, trajectory = self.timed(run)
-        except StoreError:
-            raise
-        except TimedOut as error:
-            row = lost_row(run, shared.scenario, TIMED_OUT, str(error))
-        except CongelationError as error:
-            row = lost_row(run, shared.scenario, REFUSED, str(error))
-        shared.store.write(row, trajectory if shared.trajectories else None)
-        return str(row["status"])
-
-    def run(self, task: Task) -> Run:
-        """The run of a task; without its trajectory, it records what is measured alone.
-
-        Raises
-        ------
-        InvalidInput
-            If it is another one than the parent planned.
-        """
-        run = task.run(self.shared)
-        if run.run_id != task.run_id:
-            raise InvalidInput(
-                f"{_name()}: congelation or the FMUs are not those that planned the sweep; "
-                "install the same version everywhere, leave both alone meanwhile, and --resume"
+    def _ended(self, pipe: Connection) -> list[Event]:
+        """What the end of a process means for the runs that it had."""
+        process = self._pipes.pop(pipe)
+        number = self._doing.pop(pipe, None)
+        pipe.close()
+        if number is None:
+            self._failed_starts += 1
+            return []
+        batch = self._batches[number]
+        begun, timed_out = batch.begun, batch.timed_out
+        run_ids = self._dropped(number)
+        if begun is None:
+            return list(map(Unfinished, run_ids))
+        outcome = (
+            Outcome(
+                TIMED_OUT,
+                f"The run took longer than {self._job.timeout:g} s; see sweep.timeout, --timeout.",
+                "time limit",
             )
-        columns = self.shared.scenario.measured
-        if self.shared.trajectories or columns is None:
-            return run
-        experiment = replace(run.case.experiment, record=columns)
-        return replace(run, case=replace(run.case, experiment=experiment))
+            if timed_out
+            else _died(_exit_code(process), self._job)
+        )
+        return [Lost(begun[0], outcome), *map(Unfinished, run_ids[1:])]
 
-    def timed(self, run: Run, *, kept: bool = True) -> tuple[dict[str, object], Trajectory]:
-        """Execute a run, in no more than the time that it may take.
-
-        One that does not return from its FMUs ends this process; its row is stored before, if it
-        is to be `kept`.
-
-        Raises
-        ------
-        TimedOut
-            If it takes longer.
-        """
-        limit = self.shared.timeout
-        if limit is None:
-            return execute(run, self.shared.scenario, self.pool, self._check)
-        self._deadline = time.monotonic() + limit
-        patience = min(limit + GRACE, threading.TIMEOUT_MAX)
-        alarm = threading.Timer(patience, self._give_up, (run if kept else None,))
-        alarm.daemon = True
-        alarm.start()
-        try:
-            return execute(run, self.shared.scenario, self.pool, self._check)
-        finally:
-            alarm.cancel()
-            self._deadline = None
-
-    def _check(self, done: float) -> None:
-        if _PROCESS.stopped():
-            raise _Stopped
-        if self._deadline is not None and time.monotonic() > self._deadline:
-            raise TimedOut(self._too_long())
-
-    def _give_up(self, run: Run | None) -> None:
-        """End this process, which an FMU does not give back."""
-        try:
-            if run is not None:
-                row = lost_row(run, self.shared.scenario, TIMED_OUT, self._too_long())
-                self.shared.store.write(row)
-                _PROCESS.last_words(row)
-        finally:
-            os._exit(1)
-
-    def _too_long(self) -> str:
-        return f"The run took longer than {self.shared.timeout:g} s; see sweep.timeout."
+    def _dropped(self, number: int) -> list[str]:
+        """Forget a batch; returns what was left to do of it."""
+        batch = self._batches.pop(number)
+        batch.future.cancel()  # Pebble would wait for ever for a process that ended by exit(0)
+        return [task.run_id for task in batch.waiting]
 
 
-class _Process:
-    """The state of this worker process; dask's worker processes may have several threads."""
-
-    def __init__(self) -> None:
-        self.lock = threading.Lock()
-        self.stopped: Callable[[], bool] = lambda: False
-        self.last_words: Callable[[Row], None] = lambda row: None
-        self._worker: Worker | None = None
-
-    def worker(self, shared: Work) -> Worker:
-        """The worker for a sweep; that of another sweep frees its FMUs first."""
-        if self._worker is None or self._worker.shared != shared:
-            if self._worker is not None:
-                self._worker.pool.close()
-            self._worker = Worker(shared)
-        return self._worker
+def _error(future: ProcessFuture[None]) -> BaseException | None:
+    """What ended a task whose process goes on, such as a record that cannot be sent."""
+    if not future.done() or future.cancelled():
+        return None
+    error = future.exception()
+    return None if isinstance(error, ProcessExpired | BrokenProcessPool) else error
 
 
-_PROCESS = _Process()
+def _exit_code(process: SpawnProcess) -> int | None:
+    """How a process ended whose pipe has closed; Pebble's threads wait for it, too."""
+    end = time.monotonic() + 2.0
+    while process.exitcode is None and time.monotonic() < end:
+        time.sleep(0.01)
+    return process.exitcode
 
 
-def stop_when(stopped: Callable[[], bool]) -> None:
-    """Let this process end its runs in the middle as soon as `stopped` is true."""
-    _PROCESS.stopped = stopped
+def _died(code: int | None, job: Job) -> Outcome:
+    if code is None:
+        cause = "closed its pipe"
+    elif code >= 0:
+        cause = f"exit code {code}"
+    else:
+        cause = signal.Signals(-code).name
+    fmus = " or ".join(f"{c.name} ({c.fmu.name})" for c in job.scenario.system.components)
+    message = f"The worker process ended in this run ({cause}); an FMU may have ended it: {fmus}."
+    return Outcome(WORKER_DIED, message, cause)
 
 
-def last_words(told: Callable[[Row], None]) -> None:
-    """Let this process tell the row of the run that it ends itself for, besides storing it."""
-    _PROCESS.last_words = told
+# -- starting processes -----------------------------------------------------------------------
+
+
+_STARTING = threading.Lock()
+
+
+class _Process(SpawnProcess):
+    """A process with a pipe to its parent, that imports nothing of the parent's main module.
+
+    Python's own would run the script that started it once more, which then needs an ``if __name__
+    == "__main__"``, and cannot do so at all from standard input.
+    """
+
+    def __init__(self, register: Callable[[Connection, SpawnProcess], None], **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self._register: Callable[[Connection, SpawnProcess], None] | None = register
+
+    def start(self) -> None:
+        receiver, self._sender = multiprocessing.Pipe(duplex=False)
+        register, self._register = self._register, None  # it is not sent along
+        with _STARTING, _interrupts_held(), _without_main(), _not_daemonic():
+            super().start()
+        self._sender.close()
+        if register is not None:
+            register(receiver, self)
+
+    def run(self) -> None:
+        _end_with_parent()
+        _Child.pipe = self._sender
+        super().run()
 
 
 @contextmanager
-def at_work(shared: Work) -> Iterator[Worker]:
-    """This process's worker for a sweep, for one task at a time."""
-    with _PROCESS.lock:
-        yield _PROCESS.worker(shared)
+def _without_main() -> Iterator[None]:
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
-def work(shared: Work, tasks: Sequence[Task]) -> Done:
-    """Do some runs in this process, one at a time.
-
-    Raises
-    ------
-    StoreError
-        If a result cannot be written: the others could not be either.
-    InvalidInput
-        If this process has another version of the code or of the FMUs than the parent.
-    """
-    done: list[str] = []
-    with at_work(shared) as worker:
-        for task in tasks:
-            try:
-                done.append(worker.do(task))
-            except _Stopped:
-                break
-    return Done(_name(), tuple(done), psutil.Process().memory_info().rss)
+@contextmanager
+def _not_daemonic() -> Iterator[None]:
+    """Let a daemonic process, such as dask's workers, start processes, which end with it anyhow."""
+    config: dict[str, Any] = multiprocessing.current_process()._config  # type: ignore[attr-defined]
+    daemon = config.pop("daemon", None)
+    try:
+        yield
+    finally:
+        if daemon is not None:
+            config["daemon"] = daemon
 
 
-def _name() -> str:
-    return f"{socket.gethostname()}:{os.getpid()}"
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold Ctrl-C back; processes that are started meanwhile never see it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _end_with_parent() -> None:
+    """Let this process be killed when its parent ends, also while an FMU does not return."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    if sys.platform == "linux":
+        PR_SET_PDEATHSIG = 1
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL)
+        if os.getppid() != parent.pid:  # it has ended already
+            os._exit(1)
+        return
+
+    def watch() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+# -- in the worker process --------------------------------------------------------------------
+
+
+class _Child:
+    """The state of a worker process."""
+
+    pipe: ClassVar[Connection]
+    job: ClassVar[Job]
+    do: ClassVar[Callable[..., tuple[Outcome, bytes | None]]]
+    pool: ClassVar[SlavePool]
+
+
+def _prepare(job: Job, do: Callable[..., tuple[Outcome, bytes | None]]) -> None:
+    _Child.job, _Child.do, _Child.pool = job, do, SlavePool()
+
+
+def _work(number: int, tasks: Sequence[Task]) -> None:
+    """Do some runs, and report each as it begins and ends."""
+    send = _Child.pipe.send
+    for task in tasks:
+        send(("begin", number, task.run_id, time.monotonic()))
+
+        def progress(fraction: float, run_id: str = task.run_id) -> None:
+            send(("progress", number, run_id, fraction))
+
+        try:
+            outcome, trajectory = _Child.do(_Child.job, task, _Child.pool, progress)
+        except StoreError as error:
+            send(("unwritten", number, str(error)))
+            return
+        send(("end", number, task.run_id, outcome, trajectory))

@@ -1,20 +1,24 @@
-"""The metrics of a run: of all its communication points, whichever rows are kept of it."""
+"""The metrics of a run: of all its communication points, whichever rows are kept of it.
+
+Those of the closed loop are declared in `congelation.scenario.metrics`, which reads scenarios and
+knows no loop; their functions are here.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import final
 
 import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.recording import Memory, Sink
-from congelation.results.records import Trajectory
+from congelation.results.record import Trajectory
 from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import Case, MetricSpec
 
-__all__ = ["Points", "measure"]
+__all__ = ["LOOP_METRICS", "Points", "measure"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -66,6 +70,29 @@ class Points(Sink):
         return Trajectory(chosen[:, 0], self._columns, chosen[:, 1:], kept.units)
 
 
+def lyapunov(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
+    """The largest relative margin of the Lyapunov certificate along the run."""
+    # Here, as it brings CasADi, whose import the workers of other studies do without.
+    from congelation.verify.lyapunov import along
+
+    return along(case, time, columns, values).worst
+
+
+def deviation(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
+    """The largest distance from the monolithic solution, relative to a variable's peak."""
+    from congelation.verify.reference import compare, reference  # as above
+
+    found = compare(reference(case), Trajectory(time, tuple(columns), values, {}))
+    return max(entry.relative for entry in found)
+
+
+LOOP_METRICS: Mapping[str, Callable[[Case, Floats, Sequence[str], Floats], float]] = {
+    "lyapunov": lyapunov,
+    "deviation": deviation,
+}
+"""The functions of the metrics that are declared to be of the loop, by name."""
+
+
 def measure(
     specs: Sequence[MetricSpec], case: Case, trajectory: Trajectory
 ) -> Mapping[str, float | None]:
@@ -76,9 +103,11 @@ def measure(
 def _value(spec: MetricSpec, case: Case, trajectory: Trajectory) -> float | None:
     found = metric(spec.metric)
     time, columns = trajectory.time, trajectory.columns
+    value: float | None
     if found.loop:
-        value = found.evaluate(case, time, columns, trajectory.values, **spec.options)
+        function = LOOP_METRICS.get(found.name) or found.function
+        value = function(case, time, columns, trajectory.values, **spec.options)
     else:
         group = trajectory.select(trajectory.group(spec.of))
-        value = found.evaluate(time, group, **spec.options)
+        value = found.function(time, group, **spec.options)
     return None if value is None or math.isnan(value) else value

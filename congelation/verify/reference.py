@@ -27,7 +27,7 @@ from congelation.export.forms import models_of
 from congelation.export.interface import start_names
 from congelation.fmi.description import describe
 from congelation.fmi.start import resolve_start
-from congelation.results.records import Trajectory
+from congelation.results.record import Trajectory
 from congelation.scenario.scenario import Case, Experiment
 from congelation.scenario.start_values import Scalar
 from congelation.signals import Profile

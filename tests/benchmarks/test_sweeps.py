@@ -11,7 +11,7 @@ from benchmarks import long_run
 from benchmarks.phases import STEPPING, Timers
 from benchmarks.sweep_job import FRESH, RESULTS, Job, do, elsewhere, measured
 from benchmarks.sweeps import overhead
-from congelation.results.store import Store
+from congelation.results.results import Results
 
 STEPS, STEP = 200, 1e-4
 HELD = {"coupling": "jacobi", "step": STEP, "stop_time": STEPS * STEP}
@@ -23,10 +23,11 @@ def test_fresh_instances_and_the_sweep_do_the_same_runs(tmp_path: Path) -> None:
 
     with (tmp_path / "runs.csv").open(newline="") as stream:
         fresh = list(csv.DictReader(stream))
-    rows = Store(tmp_path / RESULTS).read().rows
-    assert [row["variant"] for row in rows] == ["Controller 1", "Controller 2"] * 2
-    for other, row in zip(fresh, rows, strict=True):
-        assert row["macro_steps"] == STEPS
+    runs = list(Results(tmp_path / RESULTS).runs)
+    assert [run.variant for run in runs] == ["Controller 1", "Controller 2"] * 2
+    for other, run in zip(fresh, runs, strict=True):
+        assert run.steps == STEPS
+        row = {**run.settings, **run.metrics}
         for name in ("controller.epsilon", "peak_x", "peak_u", "settling_x", "ise_x", "ise_u"):
             assert float(other[name]) == pytest.approx(row[name], rel=1e-9), name
 

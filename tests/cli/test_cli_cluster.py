@@ -13,18 +13,9 @@ import pytest
 from distributed import Client
 
 from congelation.results.store import Store
-from tests.cli.test_cli_sweep import (
-    DEADLY,
-    LONG,
-    POINTS,
-    SWEEP,
-    environment,
-    install,
-    rows,
-    sweep,
-    until,
-)
+from tests.cli.test_cli_sweep import DEADLY, LONG, POINTS, SWEEP, rows, sweep
 from tests.scenarios import SCALAR, write
+from tests.studies import environment, install, process, until
 
 pytestmark = pytest.mark.slow
 
@@ -35,9 +26,9 @@ DASK = [sys.executable, "-m", "dask"]
 def processes() -> Iterator[list[subprocess.Popen[bytes]]]:
     started: list[subprocess.Popen[bytes]] = []
     yield started
-    for process in reversed(started):
-        os.killpg(process.pid, signal.SIGKILL)  # with what it has started itself
-        process.wait()
+    for one in reversed(started):
+        os.killpg(one.pid, signal.SIGKILL)  # with what it has started itself
+        one.wait()
 
 
 @pytest.fixture
@@ -91,7 +82,7 @@ def test_a_killed_worker_of_a_cluster_costs_nothing(
         stderr=subprocess.PIPE,
         text=True,
     )
-    until(lambda: len(Store(out).finished()) >= 3)
+    until(lambda: Store(out).count() >= 3)
     os.killpg(processes[1].pid, signal.SIGKILL)
     _, errors = running.communicate(timeout=120)
     assert running.returncode == 0, errors
@@ -105,11 +96,12 @@ def test_runs_that_kill_workers_of_a_cluster_are_rows(tmp_path: Path, cluster: s
     axis = '[sweep]\n[[sweep.axes]]\nset = "plant.x0"\nvalues = [0, 2, 1]\n'
     metric = '[metrics]\ndead = {metric = "deadly", of = "plant.x"}'
     file = write(tmp_path, SCALAR + axis, ("[metrics]", metric))
-    done = sweep(
-        file, tmp_path / "out", "--scheduler", cluster, env=environment(tmp_path), timeout=300
+    out = tmp_path / "out"
+    done = process(
+        "sweep", file, "--out", out, "--scheduler", cluster, env=environment(tmp_path), timeout=300
     )
-    assert done.returncode == 0, done.stderr
-    status = {(row["plant.x0[1]"], row["status"]) for row in rows(tmp_path / "out")}
+    assert done.returncode == 1, done.stderr
+    status = {(row["set.plant.x0[1]"], row["status"]) for row in rows(tmp_path / "out")}
     assert status == {(0.0, "COMPLETED"), (1.0, "COMPLETED"), (2.0, "WORKER_DIED")}
 
 

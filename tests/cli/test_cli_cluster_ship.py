@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import hashlib
 import shutil
+import sqlite3
 import subprocess
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from congelation.results.store import Store
-from tests.cli.test_cli import one_line
 from tests.cli.test_cli_cluster import cluster, processes
-from tests.cli.test_cli_sweep import COMMAND, environment, install, rows
+from tests.cli.test_cli_sweep import rows
 from tests.cli.test_cli_sweep_forms import HANG
 from tests.scenarios import FMUS, SCALAR, write
+from tests.studies import COMMAND, environment, install
+from tests.studies import last_line as one_line
 
 __all__ = ["cluster", "processes"]  # fixtures
 
@@ -59,7 +62,7 @@ def sweep(
     home: Path, out: str, *arguments: str, env: dict[str, str] | None = None
 ) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*COMMAND, f"{HERE}/loop.toml", "--out", f"{HERE}/{out}", *arguments],
+        [*COMMAND, "sweep", f"{HERE}/loop.toml", "--out", f"{HERE}/{out}", *arguments],
         cwd=home,
         env=env or environment(),
         capture_output=True,
@@ -74,12 +77,12 @@ def test_files_go_out_and_results_come_back(home: Path, tmp_path: Path, cluster:
     assert here.returncode == 0, here.stderr
     expected = rows(home / "here")
     assert {row["status"] for row in expected} == {"COMPLETED"}
-    assert {row["plant.profile[1].table.file"] for row in expected} == {
+    assert {row["set.plant.profile[1].table.file"] for row in expected} == {
         f"{HERE}/slow.csv",
         f"{HERE}/fast.csv",
     }
 
-    line = one_line(sweep(home, "there", "--scheduler", cluster), 2)
+    line = one_line(sweep(home, "unreachable", "--scheduler", cluster), 2)
     assert f"no FMU at {HERE}/ScalarPlant.fmu" in line  # so they cannot be reached
 
     there = sweep(home, "there", "--scheduler", cluster, "--ship")
@@ -102,8 +105,9 @@ def test_files_go_out_and_results_come_back(home: Path, tmp_path: Path, cluster:
         assert hashlib.sha256(file.read_bytes()).hexdigest() == file.parent.name
     sent = {file: file.stat().st_mtime_ns for file in cached}
 
-    lost = Store(home / "there").part_file(expected[3]["run_id"])
-    lost.unlink()
+    with closing(sqlite3.connect(Store(home / "there").database)) as connection:
+        connection.execute("DELETE FROM runs WHERE run_id = ?", (expected[3]["run_id"],))
+        connection.commit()
     again = sweep(home, "there", "--scheduler", cluster, "--ship", "--resume")
     assert (again.returncode, "1 of them to do" in again.stdout) == (0, True)
     assert rows(home / "there") == expected
@@ -117,8 +121,8 @@ def test_a_run_that_hangs_far_away_is_ended(home: Path, tmp_path: Path, cluster:
     one = ('[[variants]]\nname = "Controller 2"\nset = {"controller.damping" = false}', "")
     write(home, SCALAR + axis, ("[metrics]", metric), one, (str(FMUS), HERE))
     done = sweep(home, "out", "--scheduler", cluster, "--ship", env=environment(tmp_path))
-    assert done.returncode == 0, done.stderr
-    found = {row["plant.x0[1]"]: row["status"] for row in rows(home / "out")}
+    assert done.returncode == 1, done.stderr
+    found = {row["set.plant.x0[1]"]: row["status"] for row in rows(home / "out")}
     assert found == {0.0: "COMPLETED", 2.0: "TIMED_OUT", 1.0: "COMPLETED"}
 
 

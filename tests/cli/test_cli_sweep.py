@@ -6,18 +6,18 @@ import os
 import resource
 import signal
 import subprocess
-import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from congelation.results.results import Results
 from congelation.results.store import Store
-from tests.scenarios import ROOT, SCALAR, write
+from tests.scenarios import SCALAR, write
+from tests.studies import children, command, environment, install, is_alive, process, start, until
+from tests.studies import rows as stored
 
-COMMAND = [sys.executable, "-W", "error", "-m", "congelation", "sweep"]
 pytestmark = pytest.mark.slow
 
 POINTS = 12
@@ -33,65 +33,13 @@ log_uniform = [0.2, 1.0]
 """
 
 
-def environment(*folders: Path) -> dict[str, str]:
-    path = os.pathsep.join(map(str, (ROOT, *folders)))
-    return {**os.environ, "PYTHONPATH": path, "COLUMNS": "100"}
-
-
-def sweep(
-    file: Path, out: Path, *arguments: str, **options: Any
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, str(file), "--out", str(out), *arguments],
-        capture_output=True,
-        text=True,
-        check=False,
-        **{"timeout": 120, "env": environment(), **options},
-    )
-
-
-def start(file: Path, out: Path, *arguments: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [*COMMAND, str(file), "--out", str(out), *arguments],
-        env=environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,  # Ctrl-C reaches the whole group of a terminal
-    )
+def sweep(file: Path, out: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return command("sweep", file, "--out", out, *arguments)
 
 
 def rows(out: Path) -> list[dict[str, Any]]:
-    return [{**row, "wall_time": None} for row in Store(out).read().rows]
-
-
-def until(condition: Callable[[], bool], limit: float = 60.0) -> None:
-    end = time.monotonic() + limit
-    while not condition():
-        if time.monotonic() > end:
-            raise TimeoutError
-        time.sleep(0.02)
-
-
-def children(pid: int) -> list[int]:
-    """Worker processes of `pid` (its resource tracker is not one)."""
-    found = []
-    for process in Path("/proc").glob("[0-9]*"):
-        try:
-            parent = int((process / "stat").read_text().rpartition(")")[2].split()[1])
-            command = (process / "cmdline").read_text()
-        except (FileNotFoundError, ProcessLookupError):
-            continue  # it ended in the meantime
-        if parent == pid and "spawn_main" in command:
-            found.append(int(process.name))
-    return found
-
-
-def is_alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except (FileNotFoundError, ProcessLookupError):
-        return False
+    """The records, in order of the plan."""
+    return stored(out)
 
 
 @pytest.fixture(scope="module")
@@ -113,13 +61,14 @@ def file(tmp_path: Path) -> Path:
 @pytest.fixture
 def running(file: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
     """The long sweep on two workers, some runs done and some to do."""
-    process = start(file, tmp_path / "out", "--workers", "2")
+    out = tmp_path / "out"
+    running = start("sweep", file, "--out", out, "--workers", "2")
     try:
-        until(lambda: len(Store(tmp_path / "out").finished()) >= 3)
-        yield process
+        until(lambda: out.is_dir() and Store(out).database.is_file() and Store(out).count() >= 3)
+        yield running
     finally:
-        process.kill()
-        process.communicate()
+        running.kill()
+        running.communicate()
 
 
 def test_a_sweep_has_one_row_per_run(reference: list[dict[str, Any]]) -> None:
@@ -127,7 +76,7 @@ def test_a_sweep_has_one_row_per_run(reference: list[dict[str, Any]]) -> None:
     assert len({row["run_id"] for row in reference}) == 2 * POINTS
     assert {row["status"] for row in reference} == {"COMPLETED"}
     assert {row["seed"] for row in reference} == {0}
-    pairs = [(row["controller.epsilon"], row["controller.damping"]) for row in reference]
+    pairs = [(row["set.controller.epsilon"], row["set.controller.damping"]) for row in reference]
     assert len(set(pairs)) == 2 * POINTS
 
 
@@ -157,12 +106,14 @@ def test_a_killed_parent_takes_its_workers_along_and_is_resumed(
     assert len(workers) == 2
     running.kill()
     until(lambda: not any(map(is_alive, workers)), 10.0)
-    parts = {part: part.stat().st_mtime_ns for part in (out / "parts").glob("[!.]*.parquet")}
-    assert 3 <= len(parts) < 2 * POINTS
+    before = Store(out).count()
+    times = {run.run_id: run.wall_time for run in Results(out).runs}
+    assert 3 <= before < 2 * POINTS
     assert sweep(file, out).returncode == 2
-    assert f"{2 * POINTS - len(parts)} of them to do" in sweep(file, out, "--dry-run").stdout
+    assert f"{2 * POINTS - before} of them to do" in sweep(file, out, "--dry-run").stdout
     assert sweep(file, out, "--resume").returncode == 0
-    assert {part: part.stat().st_mtime_ns for part in parts} == parts
+    again = {run.run_id: run.wall_time for run in Results(out).runs}
+    assert {run_id: again[run_id] for run_id in times} == times
     assert rows(out) == reference
 
 
@@ -195,24 +146,19 @@ metric = Metric("deadly", deadly, "kills its process where x(0) > 1.5", str)
 """
 
 
-def install(folder: Path, name: str, source: str) -> None:
-    """Put a package with the metric `name` into a folder, as pip would."""
-    (folder / f"{name}.py").write_text(source)
-    info = folder / f"{name}-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text(f"[congelation.metrics]\n{name} = {name}:metric\n")
-
-
 def test_runs_that_kill_their_worker_are_rows_and_the_rest_goes_on(tmp_path: Path) -> None:
     install(tmp_path, "deadly", DEADLY)
     axis = '[sweep]\n[[sweep.axes]]\nset = "plant.x0"\nvalues = [0, 2, 1, -1, 0.5]\n'
     metric = '[metrics]\ndead = {metric = "deadly", of = "plant.x"}'
     file = write(tmp_path, SCALAR + axis, ("[metrics]", metric))
-    done = sweep(file, tmp_path / "out", "--workers", "2", env=environment(tmp_path))
-    assert done.returncode == 0, done.stderr
+    done = process(
+        "sweep", file, "--out", tmp_path / "out", "--workers", "2", env=environment(tmp_path)
+    )
+    assert done.returncode == 1, done.stderr
     assert "10 of 10 runs, 2 failed" in done.stderr
-    status = {(row["plant.x0[1]"], row["variant"]): row["status"] for row in rows(tmp_path / "out")}
+    status = {
+        (row["set.plant.x0[1]"], row["variant"]): row["status"] for row in rows(tmp_path / "out")
+    }
     assert len(status) == 10
     for (x0, _), found in status.items():
         assert found == ("WORKER_DIED" if x0 == 2 else "COMPLETED")
@@ -222,37 +168,78 @@ def test_runs_that_kill_their_worker_are_rows_and_the_rest_goes_on(tmp_path: Pat
 def test_runs_that_cannot_begin_are_rows(tmp_path: Path) -> None:
     axis = '[sweep]\n[[sweep.axes]]\nset = "controller.epsilon"\nvalues = [-1, 0.5]\n'
     done = sweep(write(tmp_path, SCALAR + axis), tmp_path / "out")
-    assert done.returncode == 0, done.stderr
-    found = {(row["controller.epsilon"], row["status"]) for row in rows(tmp_path / "out")}
+    assert done.returncode == 1, done.stderr
+    found = {(row["set.controller.epsilon"], row["status"]) for row in rows(tmp_path / "out")}
     assert found == {(-1.0, "SLAVE_FAILED"), (0.5, "COMPLETED")}
 
 
-def test_a_damaged_part_is_done_again(tmp_path: Path) -> None:
-    file, out = write(tmp_path, SCALAR + SWEEP), tmp_path / "out"
-    assert sweep(file, out).returncode == 0
-    before = rows(out)
-    part = Store(out).part_file(before[3]["run_id"])
-    part.write_bytes(part.read_bytes()[:50])
-    done = sweep(file, out, "--resume")
-    assert (done.returncode, "1 of them to do" in done.stdout) == (0, True)
-    assert rows(out) == before
-
-
 def test_a_full_disk_is_one_line_and_no_finished_run_is_lost(tmp_path: Path) -> None:
-    file, out = write(tmp_path, SCALAR + SWEEP), tmp_path / "out"
-    axes = file.read_text()
-    file.write_text(axes.replace("[sweep]", "[sweep]\ntrajectories = true"))
+    """The largest file of an FMU has 0.35 MB, the trajectories have more."""
+    dense = ("step = 0.01", "step = 1e-3")
+    axis = SWEEP.replace("[sweep]", "[sweep]\ntrajectories = true").replace("12", "2")
+    file, out = write(tmp_path, SCALAR + axis, dense, LONG), tmp_path / "out"
 
     def limit() -> None:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+        resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, 400_000))
 
-    done = sweep(file, out, preexec_fn=limit)
+    done = process("sweep", file, "--out", out, preexec_fn=limit)
     assert done.returncode == 1
     assert "Traceback" not in done.stderr
     assert "cannot be written: " in done.stderr.strip().splitlines()[-1]
     assert sweep(file, out, "--resume").returncode == 0
-    assert len(rows(out)) == 2 * POINTS
-    assert len(list((out / "trajectories").iterdir())) == 2 * POINTS
+    assert len(rows(out)) == 4
+    assert len(list((out / "trajectories").iterdir())) == 4
+
+
+FATAL = """
+import ctypes, os, signal, time
+from congelation.scenario.metrics import Metric
+
+ENDS = {
+    2: lambda: ctypes.string_at(0),
+    3: os.abort,
+    4: lambda: os._exit(0),
+    5: lambda: time.sleep(1000),
+    6: lambda: ctypes.PyDLL(None).sleep(1000),  # with the interpreter's lock held
+    7: lambda: os.kill(os.getpid(), signal.SIGKILL),
+}
+
+def fatal(time_, values):
+    ENDS.get(int(values[0, 0]), lambda: None)()
+    return 0.0
+
+metric = Metric("fatal", fatal, "ends its process, each x(0) in its own way", str)
+"""
+
+CAUSES = {
+    1.0: ("COMPLETED", None),
+    2.0: ("WORKER_DIED", "SIGSEGV"),
+    3.0: ("WORKER_DIED", "SIGABRT"),
+    4.0: ("WORKER_DIED", "exit code 0"),
+    5.0: ("TIMED_OUT", "time limit"),
+    6.0: ("TIMED_OUT", "time limit"),
+    7.0: ("WORKER_DIED", "SIGKILL"),
+}
+
+
+@pytest.mark.parametrize("name", ["run", "sweep"])
+def test_whatever_ends_a_worker_is_a_row_with_its_cause(tmp_path: Path, name: str) -> None:
+    install(tmp_path, "fatal", FATAL)
+    variants = "".join(
+        f'[[variants]]\nname = "x0 = {x0:g}"\nset = {{"plant.x0" = {x0}}}\n' for x0 in CAUSES
+    )
+    axis = f'[sweep]\n[[sweep.axes]]\nset = "plant.x0"\nvalues = {list(CAUSES)}\n'
+    metric = ("[metrics]", '[metrics]\nf = {metric = "fatal", of = "plant.x"}')
+    text = SCALAR[: SCALAR.index("[[variants]]")] + (variants if name == "run" else axis)
+    file, out = write(tmp_path, text, metric), tmp_path / "out"
+    done = process(
+        name, file, "--out", out, "--timeout", "10", "--workers", "2", env=environment(tmp_path)
+    )
+    assert done.returncode == 1, done.stderr
+    assert "Traceback" not in done.stderr
+    found = {row["set.plant.x0[1]"]: (row["status"], row["cause"]) for row in rows(out)}
+    assert found == CAUSES
+    assert len(rows(out)) == len(CAUSES)
 
 
 def test_two_sweeps_share_a_directory(tmp_path: Path) -> None:
@@ -263,15 +250,19 @@ def test_two_sweeps_share_a_directory(tmp_path: Path) -> None:
         write(tmp_path / "a", SCALAR + SWEEP),
         write(tmp_path / "b", SCALAR + SWEEP.replace("[0.2, 1.0]", "[0.3, 0.9]")),
     ]
-    both = [start(file, out, "--resume") for file in files]
-    for process in both:
-        _, errors = process.communicate(timeout=120)
-        assert process.returncode == 0, errors
+    both = [start("sweep", file, "--out", out, "--resume") for file in files]
+    for running in both:
+        _, errors = running.communicate(timeout=120)
+        assert running.returncode == 0, errors
     for file in files:
         done = sweep(file, out, "--resume")
         assert (done.returncode, " 0 of them to do" in done.stdout) == (0, True)
-        assert len({row["run_id"] for row in rows(out)}) == len(rows(out)) == 2 * POINTS
-    assert len(Store(out).finished()) == 4 * POINTS
+    found = rows(out)
+    assert len({row["run_id"] for row in found}) == len(found) == 4 * POINTS
+    assert len({row["study"] for row in found}) == 2
+    lines = command("ls", out).stdout.splitlines()
+    assert len(lines) == 1 + 4 * POINTS
+    assert "controller.epsilon" in lines[0]
 
 
 def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
@@ -286,7 +277,6 @@ def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
     assert f"holds {2 * POINTS} finished runs; give --resume" in done.stderr
     done = sweep(file, out, "--workers", "0")
     assert done.returncode == 2
-    command = [*COMMAND[:-1], "run", str(file), "--out", str(out)]
-    done = subprocess.run(command, env=environment(), capture_output=True, text=True, check=False)
+    done = command("run", file, "--out", out)
     assert done.returncode == 2
-    assert "holds a sweep; give another directory" in done.stderr
+    assert "holds a sweep; give another --out" in done.stderr

@@ -6,10 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from congelation.results.results import Results
 from congelation.results.store import Store
-from tests.cli.test_cli import congelation, one_line
+from congelation.sweep import plan as plans
 from tests.cli.test_cli_sweep import rows, sweep
 from tests.scenarios import SCALAR, write
+from tests.studies import command
+from tests.studies import last_line as one_line
 
 pytestmark = pytest.mark.slow
 
@@ -17,7 +20,7 @@ EPSILON = '[sweep]\n[[sweep.axes]]\nset = "controller.epsilon"\nvalues = [0.5, 1
 STEP = '[sweep]\n[[sweep.axes]]\nset = "experiment.step"\nvalues = [0.01, 0.02]\n'
 
 
-def test_a_changed_scenario_lists_its_own_runs_and_keeps_the_others(tmp_path: Path) -> None:
+def test_a_changed_scenario_adds_its_runs_and_keeps_the_others(tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert sweep(write(tmp_path, SCALAR + EPSILON), out).returncode == 0
     before = rows(out)
@@ -28,51 +31,75 @@ def test_a_changed_scenario_lists_its_own_runs_and_keeps_the_others(tmp_path: Pa
     assert done.returncode == 0, done.stderr
     first, second, *_ = done.stdout.splitlines()
     assert first == f"4 runs, 4 of them to do in {out}"
-    assert second == "4 runs there are of another state of the scenario, and not listed"
-    found = rows(out)
-    assert [row["experiment.step"] for row in found] == [0.01, 0.01, 0.02, 0.02]
-    assert "controller.epsilon" not in found[0]
-    listed = congelation("ls", out).stdout
-    assert len(listed.splitlines()) == 1 + 4
-    assert all(row["run_id"] not in listed for row in before)
-    assert congelation("show", out, before[0]["run_id"]).returncode == 0
+    assert second == "4 runs there are of another study, or another state of the scenario"
+    new = Results(out, Store(out).newest()).runs
+    assert new["set.experiment.step"].tolist() == [0.01, 0.01, 0.02, 0.02]
+    assert "set.controller.epsilon" not in new.columns
+    lines = command("ls", out).stdout.splitlines()
+    assert len(lines) == 1 + 8
+    assert {"experiment.step", "controller.epsilon"} <= set(lines[0].split())
 
     file = write(tmp_path, SCALAR + EPSILON)
     done = sweep(file, out, "--resume")
     assert f"4 runs, 0 of them to do in {out}" in done.stdout
-    assert rows(out) == before
+    kept = [row for row in rows(out) if row["study"] == before[0]["study"]]
+    assert [{**row, "set.experiment.step": None} for row in kept] == [
+        {**row, "set.experiment.step": None} for row in before
+    ]
 
 
-def test_runs_of_another_plan_are_not_listed_while_none_of_this_one_is_done(tmp_path: Path) -> None:
+def test_run_refuses_the_folder_of_another_scenario(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert sweep(write(tmp_path, SCALAR + EPSILON), out).returncode == 0
-    Store(out).compact([], {"sweep": {"unlisted": sorted(Store(out).finished())}})
-    assert Store(out).rows() == ()
-    assert congelation("ls", out).stdout == "no runs\n"
+    assert command("run", write(tmp_path), "--out", out).returncode == 0
+    before = rows(out)
+    other = write(tmp_path, SCALAR, ("A short loop", "Another loop"))
+    line = one_line(command("run", other, "--out", out), 2)
+    assert line.endswith("holds runs of another scenario, 'A short loop'; give another --out")
+    assert rows(out) == before
+    changed = write(tmp_path, SCALAR, ("k_bar = 0.5", "k_bar = 0.6"))
+    assert command("run", changed, "--out", out).returncode == 0
+    assert len(rows(out)) == 2 * len(before)
+
+
+def test_other_sources_are_a_warning_and_other_numerics_another_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file, out = write(tmp_path, SCALAR + EPSILON), tmp_path / "out"
+    monkeypatch.setattr(plans, "code_version", lambda: "0.0+before")
+    assert sweep(file, out).returncode == 0
+    monkeypatch.undo()
+    done = sweep(file, out, "--resume")
+    assert "4 runs, 0 of them to do" in done.stdout
+    assert "warning: finished runs are of congelation 0.0+before" in done.stderr
+    assert done.returncode == 0
+    monkeypatch.setattr(plans, "NUMERICS_VERSION", 1000)
+    assert "4 runs, 4 of them to do" in sweep(file, out, "--dry-run").stdout
 
 
 def test_a_tolerance_that_the_coupling_does_not_take_ends_the_plan(tmp_path: Path) -> None:
     file = write(
         tmp_path, SCALAR + EPSILON, ("step = 0.01", 'tolerance = 1e-3\ncoupling = "jacobi"')
     )
-    for command in ("run", "sweep"):
-        line = one_line(congelation(command, file, "--out", tmp_path / "out"), 2)
+    for name in ("run", "sweep"):
+        line = one_line(command(name, file, "--out", tmp_path / "out"), 2)
         assert line.startswith(
             f"congelation: {file}: experiment.tolerance: coupling 'jacobi' takes"
         )
-    assert not Store(tmp_path / "out").finished()
+    assert not Store(tmp_path / "out").count()
 
 
 def test_failures_are_counted_and_none_that_begins_is_bad_input(tmp_path: Path) -> None:
     some = EPSILON.replace("0.5", "-1.0")
     done = sweep(write(tmp_path, SCALAR + some), tmp_path / "some")
-    assert one_line(done, 0) == "congelation: 2 of 4 runs failed (2 SLAVE_FAILED)"
+    assert one_line(done, 1) == "congelation: 2 of 4 runs failed (2 SLAVE_FAILED)"
     file = write(tmp_path, SCALAR + EPSILON, ("step = 0.01", "step = 1e-18"))
     done = sweep(file, tmp_path / "all", "--progress", "quiet")
-    assert one_line(done, 2).startswith(f"congelation: {file}: step 1e-18 is too small")
+    assert one_line(done, 2).startswith(
+        f"congelation: {file}: Controller 1: step 1e-18 is too small"
+    )
     assert "congelation: 4 of 4 runs failed (4 REFUSED)\n" in done.stderr
     assert len(rows(tmp_path / "all")) == 4
-    line = one_line(congelation("run", file, "--out", tmp_path / "run"), 2)
+    line = one_line(command("run", file, "--out", tmp_path / "run"), 2)
     assert line.startswith(f"congelation: {file}: Controller 1: step 1e-18 is too small")
 
 

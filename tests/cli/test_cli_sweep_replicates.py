@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from congelation.results.store import Store
-from tests.cli.test_cli import congelation
+from congelation.results.results import Results
 from tests.cli.test_cli_sweep import rows, sweep
 from tests.scenario.test_replicates import REPLICATED, SEED
 from tests.scenarios import SCALAR, write
+from tests.studies import command as congelation
 
 pytestmark = pytest.mark.slow
 
@@ -37,20 +37,24 @@ def test_replicates_differ_by_their_seed_alone_and_more_of_them_only_add(
     out = shutil.copytree(replicated, tmp_path / "out")
     before = rows(out)
     assert len(before) == 2 * 2 * 3
-    parts = {part: part.stat().st_mtime_ns for part in (out / "parts").iterdir()}
+    times = {run.run_id: run.wall_time for run in Results(out).runs}
     more = ("replicates = 3", "replicates = 5")
     file = write(tmp_path, SCALAR + REPLICATED, TELEGRAPH, more)
     second = sweep(file, out, "--resume", "--workers", "2")
     assert second.returncode == 0, second.stderr
     assert "20 runs, 8 of them to do" in second.stdout
-    assert {part: part.stat().st_mtime_ns for part in parts} == parts
+    again = {run.run_id: run.wall_time for run in Results(out).runs}
+    assert {run_id: again[run_id] for run_id in times} == times
     after = rows(out)
-    assert [row for row in after if row["replicate"] <= 3] == before
+    kept = [row for row in after if row["replicate"] <= 3]
+    assert [{**row, "number": 0, "study": ""} for row in kept] == [
+        {**row, "number": 0, "study": ""} for row in before
+    ]
 
     seeds, peaks = defaultdict(set), defaultdict(set)
     for row in after:
-        seeds[row["replicate"]].add(row[SEED])
-        peaks[row["variant"], row["controller.epsilon"]].add(row["peak_x"])
+        seeds[row["replicate"]].add(row[f"set.{SEED}"])
+        peaks[row["variant"], row["set.controller.epsilon"]].add(row["metric.peak_x"])
     assert sorted(seeds) == [1, 2, 3, 4, 5]
     assert all(len(found) == 1 for found in seeds.values())
     assert all(len(found) == 5 for found in peaks.values())  # the signals do differ
@@ -60,11 +64,11 @@ def test_reports_are_over_replicates_or_by_them(replicated: Path) -> None:
     out = replicated
     report = congelation("report", out, "--by", "variant", "--by", "controller.epsilon").stdout
     lines = [line for line in report.splitlines() if line.startswith("Controller 1, 0.5")]
-    found = Store(out).read().rows
+    found = rows(out)
     peaks = sorted(
-        row["peak_x"]
+        row["metric.peak_x"]
         for row in found
-        if (row["variant"], row["controller.epsilon"]) == ("Controller 1", 0.5)
+        if (row["variant"], row["set.controller.epsilon"]) == ("Controller 1", 0.5)
     )
     low, median, high = (f"{value:.4g}" for value in peaks)
     assert lines[0].split()[3:5] == ["3", "3"]

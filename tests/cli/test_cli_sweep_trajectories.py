@@ -7,13 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from congelation.results.store import Store
+from congelation.results.results import Results
 from congelation.scenario.load import load_scenario
-from congelation.sweep import pilot as pilots
-from congelation.sweep.pilot import pilot
-from congelation.sweep.sweep_plan import plan_sweep
-from tests.cli.test_cli_sweep import environment, install, rows, sweep
+from congelation.sweep import estimate as estimates
+from congelation.sweep.plan import plan_study
+from congelation.sweep.workers import Local
+from tests.cli.test_cli_sweep import rows, sweep
 from tests.scenarios import SCALAR, write
+from tests.studies import environment, install, process
 
 pytestmark = pytest.mark.slow
 
@@ -39,10 +40,10 @@ def test_trajectories_of_a_sweep_share_their_grid_whatever_the_steps(tmp_path: P
     assert done.returncode == 0, done.stderr
     found = rows(tmp_path / "out")
     assert {row["status"] for row in found} == {"COMPLETED"}
-    assert len({row["macro_steps"] for row in found}) > 3
+    assert len({row["steps"] for row in found}) > 3
     expected = np.append(0.04 * np.arange(18), 0.7)
     for row in found:
-        trajectory = Store(tmp_path / "out").trajectory(row["run_id"])
+        trajectory = Results(tmp_path / "out").trajectory(row["run_id"])
         assert trajectory.time.tolist() == expected.tolist()
 
 
@@ -64,15 +65,15 @@ def test_without_trajectories_only_what_is_measured_is_recorded(tmp_path: Path) 
     )
     file = write(tmp_path, SCALAR + AXES, metric)
     env = environment(tmp_path)
-    assert sweep(file, tmp_path / "with", env=env).returncode == 0
+    assert process("sweep", file, "--out", tmp_path / "with", env=env).returncode == 0
     file.write_text(file.read_text().replace("trajectories = true", "trajectories = false"))
-    assert sweep(file, tmp_path / "without", env=env).returncode == 0
+    assert process("sweep", file, "--out", tmp_path / "without", env=env).returncode == 0
     kept, not_kept = rows(tmp_path / "with"), rows(tmp_path / "without")
     # The states of plant and controller; with trajectories u as well, which a figure shows.
-    assert {row["columns"] for row in kept} == {3.0}
-    assert {row["columns"] for row in not_kept} == {2.0}
+    assert {row["metric.columns"] for row in kept} == {3.0}
+    assert {row["metric.columns"] for row in not_kept} == {2.0}
     for before, after in zip(kept, not_kept, strict=True):
-        assert {**before, "columns": None} == {**after, "columns": None}
+        assert {**before, "metric.columns": None} == {**after, "metric.columns": None}
     assert not list((tmp_path / "without" / "trajectories").iterdir())
 
 
@@ -86,16 +87,16 @@ def test_a_metric_of_everything_recorded_is_of_no_less_in_a_sweep(tmp_path: Path
 def test_the_estimate_of_space_knows_the_grid(
     tmp_path: Path, interval: float | None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(pilots, "ENOUGH", 0.0)  # as of long runs, 2 % are done
+    monkeypatch.setattr(estimates, "ENOUGH", 0.0)  # as of long runs, 2 % are done
     grid = "step = 0.01\n" + (f"output_interval = {interval}\n" if interval else "")
     changes = (("step = 0.01\n", grid), ("stop_time = 1.0", "stop_time = 20"))
     axis = (
         '[sweep]\ntrajectories = true\n[[sweep.axes]]\nset = "controller.epsilon"\nvalues = [1]\n'
     )
     file, out = write(tmp_path, SCALAR + axis, *changes), tmp_path / "out"
-    plan = plan_sweep(load_scenario(file), out, resume=False)
-    estimated = pilot(plan.shared, plan.missing[:1]).size
+    plan = plan_study(load_scenario(file), out, swept=True, write=False)
+    estimated = estimates.estimate(plan, Local()).size
     assert sweep(file, out).returncode == 0
-    kept = (*(out / "parts").iterdir(), *(out / "trajectories").iterdir())
-    actual = sum(part.stat().st_size for part in kept) / 2
-    assert actual / 2 < estimated < 2 * actual
+    kept = (out / "runs.sqlite", out / "runs.parquet", *(out / "trajectories").iterdir())
+    actual = sum(part.stat().st_size for part in kept)
+    assert actual / 3 < estimated < 3 * actual

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from congelation.results.records import Trajectory
-from congelation.results.store import Store
+from congelation.results.record import RunRecord, Trajectory
+from congelation.results.results import Results
+from congelation.results.store import Store, trajectory_bytes
 
 ABOUT = {
     "title": "Two <runs>",
@@ -34,6 +35,7 @@ ABOUT = {
     ],
     "fmus": {"plant": {"file": "Plant.fmu", "sha256": "5e1f"}},
     "versions": {"congelation": "0.1.0+abc", "Python": "3.11"},
+    "swept": False,
 }
 
 COLUMNS = ("plant.x[1]", "plant.x[2]", "controller.u", "plant.theta[1]")
@@ -48,37 +50,55 @@ def trajectory(gain: float, rows: int = 5001) -> Trajectory:
     return Trajectory(t, COLUMNS, values, UNITS)
 
 
-def row(run_id: str, variant: str, **changes: object) -> Mapping[str, object]:
-    return {
-        "run_id": run_id,
-        "variant": variant,
-        "controller.damping": variant == "Controller 1",
+def record(run_id: str, number: int, **changes: object) -> RunRecord:
+    values: dict[str, object] = {
+        "study": "s",
+        "number": number,
+        "variant": f"Controller {number}",
+        "settings": {"controller.damping": number == 1},
         "status": "COMPLETED",
         "message": "The run reached its stop time.",
-        "peak_x": 1.23456789,
-        "settling_x": float("inf"),
-        "macro_steps": 5000,
+        "metrics": {"peak_x": 1.23456789, "settling_x": float("inf")},
+        "steps": 5000,
         "wall_time": 0.5,
-        **changes,
     }
+    return RunRecord(run_id=run_id, **{**values, **changes})  # type: ignore[arg-type]
 
 
-def stored(folder: Path, **about: object) -> Store:
+def results(
+    folder: Path, entries: Sequence[tuple[RunRecord, Trajectory]], **about: object
+) -> Results:
+    """A result directory with these runs."""
+    store = Store(folder)
+    store.create()
+    store.plan([])
+    store.begin("s", {**ABOUT, **about})
+    for entry, recorded in entries:
+        store.write_trajectory(entry.run_id, trajectory_bytes(recorded))
+    store.add([entry for entry, _ in entries])
+    store.close()
+    return Results(folder)
+
+
+def stored(folder: Path, deviations: Mapping[str, float] | None = None) -> Results:
     """Two completed runs."""
-    store = Store(folder)
-    store.create()
-    store.write(row("r1", "Controller 1", settling_x=2.5), trajectory(1000.0))
-    store.write(row("r2", "Controller 2"), trajectory(1.0))
-    store.compact(["r1", "r2"], {**ABOUT, **about})
-    return store
+    first = {"metrics": {"peak_x": 1.23456789, "settling_x": 2.5}, "deviations": deviations or {}}
+    return results(
+        folder,
+        [
+            (record("r1", 1, **first), trajectory(1000.0)),
+            (record("r2", 2), trajectory(1.0)),
+        ],
+    )
 
 
-def stored_failures(folder: Path) -> Store:
+def stored_failures(folder: Path) -> Results:
     """One run that ended early, and one that never started."""
-    store = Store(folder)
-    store.create()
-    failed = {"peak_x": None, "settling_x": None, "status": "DIVERGED"}
-    store.write(row("r1", "Controller 1", message="plant: <too> large", **failed), trajectory(1, 9))
-    store.write(row("r2", "Controller 2", message="no start", **failed), trajectory(1, 0))
-    store.compact(["r1", "r2"], ABOUT)
-    return store
+    failed = {"metrics": {"peak_x": None, "settling_x": None}, "status": "DIVERGED"}
+    return results(
+        folder,
+        [
+            (record("r1", 1, message="plant: <too> large", **failed), trajectory(1, 9)),
+            (record("r2", 2, message="no start", **failed), trajectory(1, 0)),
+        ],
+    )

@@ -10,13 +10,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from congelation.errors import InvalidInput
-from congelation.report.figures import draw, figure_names, save
+from congelation.results.figures import save
 from tests.report.stored import stored, stored_failures, trajectory
 
 
 @pytest.fixture
 def figure(tmp_path: Path) -> Figure:
-    return draw(stored(tmp_path), "loop")
+    return stored(tmp_path).plot("loop")
 
 
 def texts(axes: Axes) -> list[str]:
@@ -74,13 +74,13 @@ def test_the_norm_of_a_group(figure: Figure) -> None:
 
 
 def test_a_span_shows_a_part(tmp_path: Path) -> None:
-    figure = draw(stored(tmp_path), "start")
+    figure = stored(tmp_path).plot("start")
     assert figure.axes[0].get_xlim() == (0.0, 1.0)
     assert max(np.max(line.get_xdata()) for line in figure.axes[0].get_lines()) == 1.0
 
 
 def test_a_run_that_ended_early_is_marked_and_one_without_rows_left_out(tmp_path: Path) -> None:
-    figure = draw(stored_failures(tmp_path), "loop")
+    figure = stored_failures(tmp_path).plot("loop")
     lines = figure.axes[1].get_lines()
     assert [line.get_marker() for line in lines] == ["None", "x"]
     assert list(lines[1].get_xdata()) == [0.016]
@@ -91,7 +91,7 @@ def test_files_are_pdf_and_png_and_the_same_every_time(tmp_path: Path) -> None:
     store = stored(tmp_path / "results")
     contents = []
     for folder in ("a", "b"):
-        files = save(draw(store, "loop"), tmp_path / folder, "loop")
+        files = save(store.plot("loop"), tmp_path / folder, "loop")
         assert [file.name for file in files] == ["loop.pdf", "loop.png"]
         contents.append([file.read_bytes() for file in files])
     assert contents[0] == contents[1]
@@ -102,6 +102,7 @@ def test_files_are_pdf_and_png_and_the_same_every_time(tmp_path: Path) -> None:
 
 def test_names(tmp_path: Path) -> None:
     store = stored(tmp_path)
-    assert figure_names(store) == ("loop", "start")
-    with pytest.raises(InvalidInput, match=r"has no figure 'lopo'; did you mean 'loop'\?"):
-        draw(store, "lopo")
+    assert store.figures() == ("loop", "start")
+    assert len(store.plot().axes) == 4  # the first one
+    with pytest.raises(InvalidInput, match=r"there is no figure 'lopo'; did you mean 'loop'\?"):
+        store.plot("lopo")

@@ -11,7 +11,7 @@ import pytest
 
 from congelation.errors import CongelationError, InvalidInput
 from congelation.report.html import write_html
-from congelation.results.store import Store
+from congelation.results.results import Results
 from tests.report.stored import stored, stored_failures
 
 VOID = {"meta", "img", "br"}
@@ -38,7 +38,7 @@ class Page(HTMLParser):
         self.text += data
 
 
-def page(store: Store, file: Path) -> Page:
+def page(store: Results, file: Path) -> Page:
     write_html(store, file)
     parser = Page()
     parser.feed(file.read_text(encoding="utf-8"))
@@ -78,15 +78,14 @@ def test_failures_and_deviations_are_told(tmp_path: Path) -> None:
     failed = page(stored_failures(tmp_path / "a"), tmp_path / "a.html")
     assert "Controller 1: plant: <too> large" in failed.text
     assert "DIVERGED" in failed.text
-    deviation = {"variable": "plant.x[1]", "error": 2e-5, "relative": 1.5e-5}
-    verified = page(stored(tmp_path / "b", verification={"r1": [deviation]}), tmp_path / "b.html")
+    verified = page(stored(tmp_path / "b", {"plant.x[1]": 1.5e-5}), tmp_path / "b.html")
     assert "error of plant.x[1] / peak" in verified.text
     assert "1.5e-05" in verified.text
 
 
 def test_places_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="is no result directory"):
-        write_html(Store(tmp_path), tmp_path / "report.html")
+        write_html(Results(tmp_path), tmp_path / "report.html")
     store = stored(tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(CongelationError, match=r"report\.html cannot be written"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from congelation.report.labels import math_label, with_unit
+from congelation.results.labels import math_label, with_unit
 
 
 @pytest.mark.parametrize(

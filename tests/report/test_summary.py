@@ -13,15 +13,20 @@ from hypothesis import strategies as st
 from congelation.errors import InvalidInput
 from congelation.report.pareto import draw_front, pareto_front
 from congelation.report.summary import summarise_groups
-from congelation.results.records import Study
+from congelation.results.record import RunRecord, Study
 
 METRICS = {name: {"metric": "peak", "of": "a.x", "unit": "s"} for name in ("time", "cost")}
-ABOUT = {"varied": ["a.k"], "metrics": METRICS, "sweep": {}}
+ABOUT = {"varied": ["a.k"], "metrics": METRICS, "swept": True}
 
 
-def row(k: float, time: float | None, cost: float | None) -> dict[str, Any]:
+def row(k: float, time: float | None, cost: float | None) -> RunRecord:
     status = "COMPLETED" if time is not None else "DIVERGED"
-    return {"variant": "v", "status": status, "a.k": k, "time": time, "cost": cost}
+    metrics = {"time": time, "cost": cost}
+    return RunRecord(run_id="", variant="v", status=status, settings={"a.k": k}, metrics=metrics)
+
+
+def number(run: RunRecord) -> Any:
+    return run.settings["a.k"]
 
 
 def test_groups_are_sorted_and_have_the_median_between_outer_quantiles() -> None:
@@ -42,15 +47,15 @@ COSTS = st.integers(0, 5) | st.sampled_from([math.inf, math.nan])
 def test_the_pareto_front_is_what_no_run_beats(costs: list[tuple[float, float]]) -> None:
     rows = tuple(row(k, float(t), float(c)) for k, (t, c) in enumerate(costs))
     front = pareto_front(Study(rows, ABOUT), ["time", "cost"])
-    finite = [r for r in rows if math.isfinite(r["time"]) and math.isfinite(r["cost"])]
+    finite = [row(k, *c) for k, c in enumerate(costs) if all(map(math.isfinite, c))]
 
-    def beats(a: dict[str, Any], b: dict[str, Any]) -> bool:
-        one, other = (a["time"], a["cost"]), (b["time"], b["cost"])
+    def beats(a: RunRecord, b: RunRecord) -> bool:
+        one, other = (tuple(map(float, r.metrics.values())) for r in (a, b))  # type: ignore[arg-type]
         return one != other and one[0] <= other[0] and one[1] <= other[1]
 
-    expected = [r["a.k"] for r in finite if not any(beats(other, r) for other in finite)]
-    assert sorted(r["a.k"] for r in front) == expected
-    assert [r["time"] for r in front] == sorted(r["time"] for r in front)
+    expected = [number(r) for r in finite if not any(beats(other, r) for other in finite)]
+    assert sorted(number(r) for r in front) == expected
+    assert [r.metrics["time"] for r in front] == sorted(r.metrics["time"] or 0.0 for r in front)
 
 
 def test_the_figure_shows_all_runs_and_the_front() -> None:

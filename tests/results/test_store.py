@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import os
+import signal
+import sqlite3
 import subprocess
 import sys
 from pathlib import Path
@@ -12,10 +16,12 @@ import pytest
 
 from congelation.errors import CongelationError, InvalidInput
 from congelation.results.identity import code_version, content_hash, file_hash
-from congelation.results.records import Trajectory
-from congelation.results.store import Store, replace_whole
+from congelation.results.record import RunRecord, Trajectory
+from congelation.results.results import Results, open_results
+from congelation.results.store import Store, StoreError, replace_whole, trajectory_bytes
+from tests.studies import until
 
-ABOUT = {"title": "A study", "figures": []}
+ABOUT = {"title": "A study", "figures": [], "varied": [], "metrics": {}, "swept": False}
 
 
 def trajectory(scale: float = 1.0) -> Trajectory:
@@ -25,37 +31,81 @@ def trajectory(scale: float = 1.0) -> Trajectory:
     return Trajectory(time, columns, values, {"plant.x[1]": "m"})
 
 
+def record(run_id: str, **values: object) -> RunRecord:
+    known: dict[str, object] = {"variant": "one", "status": "COMPLETED", "study": "s"}
+    return RunRecord(run_id=run_id, **{**known, **values})  # type: ignore[arg-type]
+
+
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     store = Store(tmp_path / "deep" / "results")
     store.create()
+    store.plan(["a", "b", "c"])
+    store.begin("s", ABOUT)
     return store
 
 
-def test_runs_and_trajectories_come_back_as_they_were(store: Store) -> None:
-    rows = [
-        {"run_id": "a", "variant": "one", "flag": True, "peak": 1.5, "seed": None},
-        {"run_id": "b", "variant": "two", "flag": False, "peak": None, "seed": None},
-        {"run_id": "c", "variant": "three", "flag": False, "peak": float("inf"), "seed": None},
+def test_records_come_back_as_they_were(store: Store) -> None:
+    records = [
+        record(
+            run_id,
+            number=number,
+            settings={"p.flag": bool(number), "p.k": 0.5 * number, "p.n": number, "p.s": "12"},
+            metrics={"peak": peak, "none": None},
+            deviations={"p.x": 1e-3},
+            fmus={"p": "5e1f"},
+            trust_error=0.5,
+            trust_verdict="good",
+            steps=3,
+        )
+        for number, (run_id, peak) in enumerate([("a", 1.5), ("b", None), ("c", math.inf)])
     ]
-    for scale, row in enumerate(rows):
-        store.write(row, trajectory(scale))
-    store.compact(["c", "a", "b"], ABOUT)
-    study = store.read()
-    assert study.rows == (rows[2], rows[0], rows[1])
-    assert study.about == ABOUT
-    read = store.trajectory("c")
+    store.add(records[::-1])
+    assert list(Results(store.root).runs) == records
+    store.close()
+    assert list(Results(store.root).runs) == records
+    assert type(Results(store.root).runs[1].settings["p.flag"]) is bool
+
+
+def test_a_new_record_of_a_run_replaces_the_old_one(store: Store) -> None:
+    store.add([record("a", status="TIMED_OUT")])
+    store.add([record("a"), record("b")])
+    assert [(r.run_id, r.status) for r in Results(store.root).runs] == [
+        ("a", "COMPLETED"),
+        ("b", "COMPLETED"),
+    ]
+
+
+def test_studies_with_other_columns_share_a_directory(store: Store) -> None:
+    store.add([record("x", settings={"p.r": 1.0}, metrics={"m": 1.0})])
+    store.begin("t", ABOUT)
+    store.add([record("y", study="t", settings={"p.q": True}, metrics={"n": 2.0})])
+    first, second = Results(store.root).runs
+    assert first.settings == {"p.r": 1.0, "p.q": None}
+    assert second.settings == {"p.r": None, "p.q": True}
+    assert [r.run_id for r in Results(store.root, "t").runs] == ["y"]
+
+
+def test_runs_parquet_has_every_record_and_its_types(store: Store) -> None:
+    store.add([record("a", number=0, settings={"k": 1, "flag": True}, metrics={"m": math.nan})])
+    store.add([record("b", number=1, settings={"k": 0.5, "flag": None}, metrics={"m": math.inf})])
+    table = pq.read_table(store.export())
+    assert table["run_id"].to_pylist() == ["a", "b"]
+    assert table["set.k"].to_pylist() == [1.0, 0.5]
+    assert table["set.flag"].to_pylist() == [True, None]
+    assert table["metric.m"].to_pylist() == [None, math.inf]  # SQLite has no nan
+
+
+def test_trajectories_are_plain_parquet_and_come_back(store: Store) -> None:
+    store.write_trajectory("a", trajectory_bytes(trajectory(2)))
+    table = pq.read_table(store.trajectory_file("a"))
+    assert table.column_names == ["time", "plant.x[1]", "plant.x[2]", "plant.xi"]
+    assert table.schema.field("time").metadata == {b"unit": b"s"}
+    read = store.trajectory("a")
     assert read.columns == trajectory().columns
     assert read.units == {"plant.x[1]": "m", "plant.x[2]": "", "plant.xi": ""}
     assert np.array_equal(read.time, trajectory().time)
     assert np.array_equal(read.values, trajectory(2).values)
-
-
-def test_files_are_plain_parquet(store: Store) -> None:
-    store.write({"run_id": "a"}, trajectory())
-    table = pq.read_table(store.trajectory_file("a"))
-    assert table.column_names == ["time", "plant.x[1]", "plant.x[2]", "plant.xi"]
-    assert table.schema.field("time").metadata == {b"unit": b"s"}
 
 
 def test_a_vector_is_its_elements_and_nothing_that_begins_alike() -> None:
@@ -64,47 +114,52 @@ def test_a_vector_is_its_elements_and_nothing_that_begins_alike() -> None:
     assert trajectory().group("plant.y") == ()
 
 
-def test_columns_that_only_some_runs_have_are_empty_in_the_others(store: Store) -> None:
-    store.write({"run_id": "a", "r": 1.0}, trajectory())
-    store.write({"run_id": "b", "epsilon": 2.0}, trajectory())
-    store.compact(["a", "b"], ABOUT)
-    assert store.read().rows == (
-        {"run_id": "a", "r": 1.0, "epsilon": None},
-        {"run_id": "b", "r": None, "epsilon": 2.0},
-    )
+def test_a_plan_is_compared_with_what_is_finished(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.create()
+    store.plan([])
+    store.begin("s", ABOUT)
+    store.add([record("b"), record("x"), record("d", status="TIMED_OUT", code_version="1")])
+    store.close()
+    found = Store(tmp_path).plan(["a", "b", "a", "c", "d"])
+    assert (found.total, found.others, list(found.missing)) == (4, 1, [0, 3])
+    assert set(found.versions) == {"", "1"}
+    assert list(Store(tmp_path).plan(["a", "b", "c", "d"], ["TIMED_OUT"]).missing) == [0, 2, 3]
+    assert list(Store(tmp_path).plan(["b"], None).missing) == [0]
 
 
-def test_a_new_state_of_the_scenario_replaces_the_old_one(store: Store) -> None:
-    store.write({"run_id": "old"}, trajectory())
-    store.compact(["old"], ABOUT)
-    assert store.replaceable() == {"old"}
-    store.write({"run_id": "new"}, trajectory())
-    store.compact(["new"], ABOUT)
-    assert store.finished() == {"old", "new"}
-    store.remove(["old"])
-    assert store.finished() == {"new"}
-    assert [file.name for file in store.root.glob("*/*")] == ["new.parquet", "new.parquet"]
+def test_a_table_of_runs(store: Store) -> None:
+    store.add([record(c, number=n, metrics={"m": n}) for n, c in enumerate("abc")])
+    runs = Results(store.root).runs
+    assert len(runs) == 3
+    assert runs["metric.m"].tolist() == [0, 1, 2]
+    assert runs["status"].tolist() == ["COMPLETED"] * 3
+    assert (runs[-1].run_id, [r.run_id for r in runs[:2]]) == ("c", ["a", "b"])
+    with pytest.raises(IndexError):
+        runs[3]
+    with pytest.raises(InvalidInput, match=r"did you mean 'metric\.m'"):
+        runs["metric.n"]
 
 
-def test_a_new_attempt_leaves_nothing_of_the_old_one(store: Store) -> None:
-    assert store.written("a") is None
-    store.write({"run_id": "a", "status": "SLAVE_FAILED"}, trajectory())
-    first = store.written("a")
-    store.write({"run_id": "a", "status": "TIMED_OUT"})
-    second = store.written("a")
-    assert first is not None
-    assert second is not None
-    assert first < second
-    assert store.row("a")["status"] == "TIMED_OUT"
-    assert not store.trajectory_file("a").exists()
+def test_what_is_shown_is_short(store: Store) -> None:
+    store.add([record(f"{n:04d}", number=n, metrics={"m<": n}) for n in range(50)])
+    text = repr(open_results(store.root))
+    assert len(text.splitlines()) <= 10
+    assert text.splitlines()[0] == f"A study: 50 runs in {store.root}"
+    assert text.splitlines()[-1] == ".. and 44 more"
+    assert "<th>m&lt;</th>" in open_results(store.root)._repr_html_()
 
 
-def test_a_sweep_is_not_replaced(store: Store) -> None:
-    assert store.replaceable() == set()
-    store.write({"run_id": "a"})
-    store.compact(["a"], {**ABOUT, "sweep": {}})
-    with pytest.raises(InvalidInput, match="holds a sweep; give another directory"):
-        store.replaceable()
+def test_a_data_frame(store: Store) -> None:
+    store.add([record("a", metrics={"m": 1.0}), record("b", metrics={"m": 2.0})])
+    frame = Results(store.root).to_pandas()
+    assert frame["metric.m"].tolist() == [1.0, 2.0]
+
+
+def test_without_pandas_one_line_says_so(store: Store, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InvalidInput, match=r"pip install congelation\[pandas\]"):
+        Results(store.root).to_pandas()
 
 
 def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path: Path) -> None:
@@ -126,50 +181,87 @@ import resource, sys
 from pathlib import Path
 from congelation.errors import CongelationError
 from congelation.results.store import Store
-from tests.results.test_store import trajectory
+from tests.results.test_store import ABOUT, record
 store = Store(Path(sys.argv[1]))
 store.create()
-resource.setrlimit(resource.RLIMIT_FSIZE, (200, 200))
+store.plan([])
+store.begin("s", ABOUT)
+store.add([record("a", message="x" * 1000)])
+resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
 try:
-    store.write({"run_id": "a"}, trajectory())
+    store.add([record(str(k), message="x" * 1000) for k in range(1000)])
 except CongelationError as error:
     print(error)
-    print(sorted(store.finished()), sorted(p.name for p in store.root.glob("trajectories/*")))
+print(store.count())
 """
 
 
-def test_a_full_disk_is_one_line_and_leaves_no_half_file(tmp_path: Path) -> None:
+def test_a_full_disk_is_one_line_and_loses_nothing(tmp_path: Path) -> None:
     command = [sys.executable, "-W", "error", "-c", FULL_DISK, str(tmp_path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    message, rest = done.stdout.splitlines()
-    assert "a.parquet cannot be written: " in message
-    assert rest == "[] []"
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    message, count = done.stdout.splitlines()
+    assert "runs.sqlite cannot be written: " in message
+    assert count == "1"
+    assert [r.run_id for r in Results(tmp_path).runs] == ["a"]
+
+
+KILLED = """
+import itertools, sys
+from pathlib import Path
+from congelation.results.store import Store
+from tests.results.test_store import ABOUT, record
+store = Store(Path(sys.argv[1]))
+store.create()
+store.plan([])
+store.begin("s", ABOUT)
+for batch in itertools.count():
+    store.add([record(f"{batch}-{k}", number=100 * batch + k) for k in range(100)])
+    print(batch, flush=True)
+"""
+
+
+def test_a_killed_writer_loses_no_committed_batch(tmp_path: Path) -> None:
+    command = [sys.executable, "-c", KILLED, str(tmp_path / "out")]
+    with (tmp_path / "log").open("wb") as log:
+        writer = subprocess.Popen(command, stdout=log)
+        until(lambda: len((tmp_path / "log").read_text().split()) >= 5)
+        os.kill(writer.pid, signal.SIGKILL)
+        writer.wait()
+    committed = 1 + int((tmp_path / "log").read_text().split()[-1])
+    ids = [r.run_id for r in Results(tmp_path / "out").runs]
+    assert len(ids) == len(set(ids))
+    assert len(ids) in (100 * committed, 100 * (committed + 1))
 
 
 def test_places_that_cannot_hold_results(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(InvalidInput, match=r"results cannot be written to .*file"):
+    with pytest.raises(InvalidInput, match=r"no files can be written there"):
         Store(tmp_path / "file" / "results").create()
-    with pytest.raises(InvalidInput, match="results cannot be written to /proc"):
+    with pytest.raises(InvalidInput, match="results /proc/results: no files can be written"):
         Store(Path("/proc/results")).create()
 
 
+def test_an_old_result_directory_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    for use in (Store(tmp_path).create, Store(tmp_path).count, lambda: open_results(tmp_path)):
+        with pytest.raises(InvalidInput, match="holds results of an earlier version"):
+            use()
+
+
 def test_directories_that_hold_no_results(tmp_path: Path, store: Store) -> None:
-    with pytest.raises(InvalidInput, match=r"is no result directory: .*runs\.parquet does not ex"):
-        Store(tmp_path).read()
+    with pytest.raises(InvalidInput, match=r"is no result directory: .*runs\.sqlite does not ex"):
+        open_results(tmp_path)
     with pytest.raises(InvalidInput, match="run a has no trajectory"):
         store.trajectory("a")
-    store.write({"run_id": "a"}, trajectory())
-    store.compact(["a"], ABOUT)
-    store.trajectory_file("a").write_bytes(store.trajectory_file("a").read_bytes()[:100])
+    store.write_trajectory("a", trajectory_bytes(trajectory())[:100])
     with pytest.raises(InvalidInput, match=r"a\.parquet is damaged: "):
         store.trajectory("a")
-    store.index.write_bytes(b"")
-    with pytest.raises(InvalidInput, match=r"runs\.parquet is damaged: "):
-        store.read()
-    pq.write_table(pq.read_table(store.part_file("a")), store.index)
-    with pytest.raises(InvalidInput, match=r"runs\.parquet was not written by congelation"):
-        store.read()
+    (tmp_path / "runs.sqlite").write_bytes(b"no database" * 100)
+    with pytest.raises(InvalidInput, match=r"runs\.sqlite cannot be read: file is not a database"):
+        open_results(tmp_path)
+    with pytest.raises(StoreError, match=r"runs\.sqlite cannot be written"):
+        Store(tmp_path).create()
 
 
 def test_identifiers(tmp_path: Path) -> None:
@@ -181,17 +273,9 @@ def test_identifiers(tmp_path: Path) -> None:
     assert len(code_version().partition("+")[2]) == 12
 
 
-def test_many_rows_are_compacted_in_order_and_types_meet(store: Store) -> None:
-    """More than are joined at a time; a column that is empty, whole or not there at first."""
-    count = 600
-    names = [f"{k:04d}" for k in range(count)]
-    for k, name in enumerate(names):
-        late = {"late": 0.5 * k} if k >= count // 2 else {}
-        store.write({"run_id": name, "number": k if k < 300 else 0.5 + k, "seed": None, **late})
-    store.compact(names[::-1], ABOUT)
-
-    rows = store.read().rows
-    assert [row["run_id"] for row in rows] == names[::-1]
-    assert rows[0] == {"run_id": "0599", "number": 599.5, "seed": None, "late": 299.5}
-    assert rows[-1] == {"run_id": "0000", "number": 0.0, "seed": None, "late": None}
-    assert store.rows() == rows
+def test_the_database_can_be_read_where_nothing_can_be_written(store: Store) -> None:
+    store.add([record("a")])
+    store.close()
+    assert [file.name for file in store.root.glob("runs.*")] == ["runs.sqlite"]
+    with sqlite3.connect(f"file:{store.database}?immutable=1", uri=True) as connection:
+        assert connection.execute("SELECT count(*) FROM runs").fetchall() == [(1,)]

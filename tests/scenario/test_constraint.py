@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from congelation.errors import InvalidInput
 from congelation.scenario.constraint import Constraint
 from congelation.scenario.load import load_scenario
-from congelation.sweep.sweep_plan import plan_sweep
+from congelation.sweep.plan import plan_study
 from tests.scenarios import SCALAR, write
 
 POINT = {
@@ -109,6 +109,6 @@ def test_what_cannot_be_evaluated_at_a_point_is_told_with_its_place(tmp_path: Pa
     change = ("controller.epsilon * plant.x0[1]", "1 / (controller.epsilon - 2)")
     file = write(tmp_path, SCALAR + SWEEP, change)
     with pytest.raises(InvalidInput) as told:
-        plan_sweep(load_scenario(file), tmp_path / "out", resume=False)
+        plan_study(load_scenario(file), tmp_path / "out", swept=True, write=False)
     assert str(told.value).startswith(f"{file}: sweep.constraints: '1 / (controller")
     assert "cannot be evaluated: " in str(told.value)

@@ -9,7 +9,7 @@ import pytest
 from congelation.errors import InvalidInput
 from congelation.scenario.axes import Replicates
 from congelation.scenario.load import load_scenario
-from congelation.sweep.sweep_plan import Plan, plan_sweep
+from congelation.sweep.plan import Plan, plan_study
 from tests.scenarios import SCALAR, write
 
 SEED = "plant.profile[1].telegraph[1].seed"
@@ -28,7 +28,7 @@ values = [0.5, 1.0]
 
 def plan(folder: Path, *changes: tuple[str, str]) -> Plan:
     file = write(folder, SCALAR + REPLICATED, *changes)
-    return plan_sweep(load_scenario(file), folder / "out", resume=True)
+    return plan_study(load_scenario(file), folder / "out", swept=True, write=False)
 
 
 def seeds(of: Plan, **settings: object) -> list[object]:
@@ -36,7 +36,7 @@ def seeds(of: Plan, **settings: object) -> list[object]:
     wanted = {name.replace("__", "."): value for name, value in settings.items()}
     found = {
         task.replicate: task.settings[SEED]
-        for task in of.missing
+        for task in of.tasks()
         if all(task.settings[name] == value for name, value in wanted.items())
     }
     assert list(found) == list(range(1, len(found) + 1))
@@ -45,7 +45,7 @@ def seeds(of: Plan, **settings: object) -> list[object]:
 
 def test_every_point_and_variant_has_the_same_fresh_seeds(tmp_path: Path) -> None:
     planned = plan(tmp_path)
-    assert len(planned.run_ids) == 2 * 2 * 3
+    assert planned.total == 2 * 2 * 3
     first = seeds(planned, controller__epsilon=0.5, controller__damping=True)
     assert len(set(first)) == 3
     for epsilon in (0.5, 1.0):
@@ -56,8 +56,8 @@ def test_every_point_and_variant_has_the_same_fresh_seeds(tmp_path: Path) -> Non
 
 def test_more_replicates_leave_those_there_are(tmp_path: Path) -> None:
     few, many = plan(tmp_path), plan(tmp_path, ("replicates = 3", "replicates = 40"))
-    assert set(few.run_ids) < set(many.run_ids)
-    assert len(many.run_ids) == 2 * 2 * 40
+    assert {t.run_id for t in few.tasks()} < {t.run_id for t in many.tasks()}
+    assert many.total == 2 * 2 * 40
     assert seeds(many)[:3] == seeds(few)
 
 
@@ -82,7 +82,7 @@ def test_seeds_do_not_change_between_versions() -> None:
 
 def test_replicates_need_no_axis(tmp_path: Path) -> None:
     axis = REPLICATED[REPLICATED.index("[[sweep.axes]]") :]
-    assert len(plan(tmp_path, (axis, "")).run_ids) == 2 * 3
+    assert plan(tmp_path, (axis, "")).total == 2 * 3
 
 
 RESEED = f'reseed = ["{SEED}"]'

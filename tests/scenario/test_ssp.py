@@ -15,11 +15,11 @@ from lxml import etree
 
 from congelation.cosim.system import System
 from congelation.errors import InvalidInput
-from congelation.results.store import Store
+from congelation.results.results import Results
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
 from congelation.scenario.ssp import read_ssp, write_ssp
-from congelation.sweep.run import run_scenario
+from congelation.sweep.engine import run
 from tests.cli.test_cli import congelation, one_line
 from tests.scenarios import FMUS, SCALAR, SHIPPED, write
 
@@ -104,17 +104,17 @@ def test_what_is_written_is_valid_and_read_back_as_it_was(file: Path, tmp_path: 
 
 
 def test_an_archive_runs_as_its_scenario_does(archive: Path, tmp_path: Path) -> None:
-    here = run_scenario(load_scenario(tmp_path / "loop.toml"), tmp_path / "toml")
-    there = run_scenario(read_ssp(archive), tmp_path / "ssp")
+    here = run(tmp_path / "loop.toml", out=tmp_path / "toml")
+    there = run(archive, out=tmp_path / "ssp")
 
-    def first(store: Store) -> tuple[dict[str, object], np.ndarray]:
-        row = store.read().rows[0]
-        return row, store.trajectory(row["run_id"]).values
+    def first(results: Results) -> tuple[dict[str, object], np.ndarray]:
+        found = results.runs[0]
+        return found.row(), results.trajectory(found.run_id).values
 
     (row, values), (other_row, other_values) = first(here), first(there)
     assert row["status"] == "COMPLETED"
     assert np.array_equal(values, other_values)
-    for column in ("variant", "peak_x", "settling_x", "plant.sha256", "controller.sha256"):
+    for column in ("variant", "metric.peak_x", "metric.settling_x", "fmu.plant", "fmu.controller"):
         assert row[column] == other_row[column]
 
 
@@ -162,12 +162,12 @@ def test_a_table_travels_with_the_archive(tmp_path: Path) -> None:
     scenario = load_scenario(
         write(tmp_path, SCALAR, (old, '{table = {file = "theta.csv", linear = true}}'))
     )
-    expected = run_scenario(scenario, tmp_path / "toml").read().rows[0]
+    expected = run(scenario, out=tmp_path / "toml").runs[0]
     write_ssp(scenario, tmp_path / "loop.ssp")
     table.unlink()
-    found = run_scenario(read_ssp(tmp_path / "loop.ssp"), tmp_path / "ssp").read().rows[0]
-    assert found["status"] == "COMPLETED"
-    assert found["peak_x"] == expected["peak_x"]
+    found = run(tmp_path / "loop.ssp", out=tmp_path / "ssp").runs[0]
+    assert found.status == "COMPLETED"
+    assert found.metrics["peak_x"] == expected.metrics["peak_x"]
 
 
 def test_files_of_one_name_are_kept_apart(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from scipy import stats
 from congelation.errors import InvalidInput
 from congelation.scenario.axes import DISTRIBUTIONS, SAMPLINGS, RandomAxis, Sweep
 from congelation.scenario.load import load_scenario
-from congelation.sweep.sweep_plan import plan_sweep
+from congelation.sweep.plan import plan_study
 from tests.scenarios import SCALAR, write
 
 SWEEP = """
@@ -230,7 +230,7 @@ def test_a_draw_that_an_experiment_cannot_have_is_told_with_its_axis(tmp_path: P
     axis = '[sweep]\nsamples = 50\n[[sweep.axes]]\nset = "experiment.step"\nnormal = [0.01, 0.01]\n'
     file = write(tmp_path, SCALAR + axis)
     with pytest.raises(InvalidInput) as told:
-        plan_sweep(load_scenario(file), tmp_path / "out", resume=False)
+        plan_study(load_scenario(file), tmp_path / "out", swept=True, write=False)
     assert str(told.value).startswith(f"{file}: experiment.step = -0.0")
     assert str(told.value).endswith("; sweep.axes[1] draws experiment.step (normal)")
 

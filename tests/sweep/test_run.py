@@ -4,57 +4,76 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from congelation.results.store import Store
+from congelation.results.results import Results
 from congelation.scenario.load import load_scenario
-from congelation.sweep.plan import plan_runs
-from congelation.sweep.run import run_scenario
+from congelation.sweep.engine import Tally
+from congelation.sweep.engine import run as run_study
+from congelation.sweep.plan import plan_study
 from tests.scenarios import SCALAR, write
+from tests.studies import rows as stored
 
 SET_2 = '{"controller.damping" = false}'
 
 
-def run(folder: Path, *changes: tuple[str, str]) -> Store:
-    return run_scenario(load_scenario(write(folder, SCALAR, *changes)), folder / "out")
+def run(folder: Path, *changes: tuple[str, str]) -> Results:
+    return run_study(write(folder, SCALAR, *changes), out=folder / "out")
+
+
+def rows_of(results: Results) -> list[dict[str, Any]]:
+    return list(results.runs.rows())
 
 
 def test_rows_and_trajectories(tmp_path: Path) -> None:
     store = run(tmp_path)
-    rows = store.read().rows
+    rows = rows_of(store)
     assert [row["variant"] for row in rows] == ["Controller 1", "Controller 2"]
     assert list(rows[0]) == [
         "run_id",
+        "study",
+        "number",
         "variant",
-        "controller.damping",
+        "replicate",
+        "set.controller.damping",
         "status",
         "message",
-        "peak_x",
-        "settling_x",
-        "macro_steps",
+        "cause",
+        "metric.peak_x",
+        "metric.settling_x",
+        "steps",
+        "rejected_steps",
+        "iterations",
+        "estimated_error",
         "wall_time",
-        "plant.sha256",
-        "controller.sha256",
+        "warnings",
+        "worst_margin",
+        "trust.error",
+        "trust.verdict",
+        "fmu.plant",
+        "fmu.controller",
         "seed",
         "code_version",
+        "numerics_version",
     ]
-    assert [row["controller.damping"] for row in rows] == [True, False]
+    assert [row["set.controller.damping"] for row in rows] == [True, False]
     assert [row["status"] for row in rows] == ["COMPLETED", "COMPLETED"]
-    assert rows[0]["settling_x"] < rows[1]["settling_x"]
-    assert rows[1]["settling_x"] == math.inf
+    assert rows[0]["metric.settling_x"] < rows[1]["metric.settling_x"]
+    assert rows[1]["metric.settling_x"] == math.inf
     trajectory = store.trajectory(rows[0]["run_id"])
     assert trajectory.columns == ("plant.x", "controller.theta_hat[1]", "controller.u")
     assert trajectory.units["controller.theta_hat[1]"] == "1/s"
     assert (trajectory.time[0], trajectory.time[-1]) == (0.0, 1.0)
     assert trajectory.values[0, 0] == 1.0
-    assert rows[0]["peak_x"] == np.max(np.abs(trajectory.values[:, 0]))
-    assert rows[0]["macro_steps"] >= 100
+    assert rows[0]["metric.peak_x"] == np.max(np.abs(trajectory.values[:, 0]))
+    assert rows[0]["steps"] >= 100
 
 
 def test_the_horizon_ends_exactly_where_the_scenario_says(tmp_path: Path) -> None:
     store = run(tmp_path, ("stop_time = 1.0", "stop_time = 0.105\nstart_time = -0.3"))
-    for row in store.read().rows:
+    for row in rows_of(store):
         time = store.trajectory(row["run_id"]).time
         assert (time[0], time[-1]) == (-0.3, 0.105)
         assert np.all(np.diff(time) > 0.0)
@@ -63,7 +82,7 @@ def test_the_horizon_ends_exactly_where_the_scenario_says(tmp_path: Path) -> Non
 def test_a_chosen_output_grid(tmp_path: Path) -> None:
     changes = ("step = 0.01", 'tolerance = 1e-6\ncoupling = "hermite"\noutput_interval = 0.25')
     store = run(tmp_path, changes)
-    trajectory = store.trajectory(store.read().rows[0]["run_id"])
+    trajectory = store.trajectory(store.runs[0].run_id)
     # Jumps of theta every 0.15 s have rows of their own.
     assert {0.0, 0.25, 0.5, 0.75, 1.0} <= set(trajectory.time.tolist())
     assert len(trajectory.time) < 25
@@ -71,26 +90,30 @@ def test_a_chosen_output_grid(tmp_path: Path) -> None:
 
 def test_every_tenth_row(tmp_path: Path) -> None:
     store = run(tmp_path, ("step = 0.01", 'step = 0.01\ncoupling = "jacobi"\noutput_every = 10'))
-    trajectory = store.trajectory(store.read().rows[0]["run_id"])
+    trajectory = store.trajectory(store.runs[0].run_id)
     np.testing.assert_allclose(trajectory.time, np.linspace(0.0, 1.0, 11))
 
 
 def test_every_row_has_what_any_variant_changes(tmp_path: Path) -> None:
     both = '{"controller.damping" = false, "experiment.step" = 0.02, "controller.k_bar" = 1}'
-    rows = run(tmp_path, (SET_2, both)).read().rows
-    assert [row["experiment.step"] for row in rows] == [0.01, 0.02]
-    assert [row["controller.k_bar"] for row in rows] == [0.5, 1.0]
-    assert rows[1]["macro_steps"] < rows[0]["macro_steps"]
+    rows = rows_of(run(tmp_path, (SET_2, both)))
+    assert [row["set.experiment.step"] for row in rows] == [0.01, 0.02]
+    assert [row["set.controller.k_bar"] for row in rows] == [0.5, 1.0]
+    assert rows[1]["steps"] < rows[0]["steps"]
+
+
+def planned(folder: Path, *changes: tuple[str, str]) -> list[str]:
+    """The run_ids of the scalar loop with some changes."""
+    scenario = load_scenario(write(folder, SCALAR, *changes))
+    plan = plan_study(scenario, folder / "none", swept=False, write=False)
+    return [task.run_id for task in plan.tasks()]
 
 
 def test_run_ids_are_of_the_content(tmp_path: Path) -> None:
-    def run_ids(*changes: tuple[str, str]) -> list[str]:
-        return [r.run_id for r in plan_runs(load_scenario(write(tmp_path, SCALAR, *changes)))]
-
-    same = run_ids()
+    same = planned(tmp_path)
     assert len(set(same)) == 2
-    assert run_ids(("A short loop", "Another title")) == same
-    assert run_ids(("k_bar = 0.5", "k_bar = 0.50")) == same
+    assert planned(tmp_path, ("A short loop", "Another title")) == same
+    assert planned(tmp_path, ("k_bar = 0.5", "k_bar = 0.50")) == same
     for change in (
         ("k_bar = 0.5", "k_bar = 0.6"),
         ("step = 0.01", "step = 0.02"),
@@ -98,42 +121,43 @@ def test_run_ids_are_of_the_content(tmp_path: Path) -> None:
         ("constant = -3.0", "constant = -3.1"),
         ('"Controller 1"', '"Controller one"'),
     ):
-        assert set(run_ids(change)) != set(same), change
+        assert set(planned(tmp_path, change)) != set(same), change
 
 
 def test_a_changed_profile_table_is_another_run(tmp_path: Path) -> None:
     terms = "[{constant = -3.0}, {square = {amplitude = 0.4, period = 0.3}}]"
-    ids = []
+    ids: list[str] = []
     for value in ("-3", "-2"):
         (tmp_path / "theta.csv").write_text(f"0,{value}\n")
         file = write(tmp_path, SCALAR, (terms, '[{table = {file = "theta.csv"}}]'))
-        ids += [next(plan_runs(load_scenario(file))).run_id]
+        plan = plan_study(load_scenario(file), tmp_path / "none", swept=False, write=False)
+        ids += [next(plan.tasks()).run_id]
     assert ids[0] != ids[1]
 
 
 def test_running_again_repeats_the_rows(tmp_path: Path) -> None:
     first = run(tmp_path)
-    rows = first.read().rows
+    rows = stored(tmp_path / "out")
     values = [first.trajectory(row["run_id"]).values for row in rows]
     again = run(tmp_path)
-    for row, other, value in zip(rows, again.read().rows, values, strict=True):
-        assert {**row, "wall_time": 0} == {**other, "wall_time": 0}
+    assert stored(tmp_path / "out") == rows
+    for row, value in zip(rows, values, strict=True):
         assert np.array_equal(again.trajectory(row["run_id"]).values, value)
 
 
 def test_a_scenario_without_variants_has_one_run(tmp_path: Path) -> None:
     text = SCALAR[: SCALAR.index("[[variants]]")]
-    store = run_scenario(load_scenario(write(tmp_path, text)), tmp_path / "out")
-    assert [row["variant"] for row in store.read().rows] == ["loop"]
+    store = run_study(write(tmp_path, text), out=tmp_path / "out")
+    assert [record.variant for record in store.runs] == ["loop"]
 
 
 def test_an_fmu_that_fails_is_a_row_and_the_rest_goes_on(tmp_path: Path) -> None:
     store = run(tmp_path, ('{"controller.damping" = true}', '{"controller.epsilon" = -1.0}'))
-    failed, good = store.read().rows
+    failed, good = rows_of(store)
     assert failed["status"] == "SLAVE_FAILED"
     assert failed["message"].startswith("controller at t = 0: ")
     assert "epsilon" in failed["message"]
-    assert (failed["peak_x"], failed["settling_x"]) == (None, None)
+    assert (failed["metric.peak_x"], failed["metric.settling_x"]) == (None, None)
     assert len(store.trajectory(failed["run_id"]).time) == 0
     assert good["status"] == "COMPLETED"
 
@@ -146,9 +170,9 @@ def test_a_diverging_run_keeps_what_was_recorded(tmp_path: Path) -> None:
         ("step = 0.01", "step = 1.0"),
         ("[{constant = -3.0}, {square = {amplitude = 0.4, period = 0.3}}]", "-3.0"),
     )
-    for row in store.read().rows:
+    for row in rows_of(store):
         assert row["status"] == "DIVERGED"
-        assert row["peak_x"] is None
+        assert row["metric.peak_x"] is None
         assert "plant" in row["message"]
         trajectory = store.trajectory(row["run_id"])
         assert 70.0 < trajectory.time[-1] < 80.0  # exp(3 t) passes 1e100 at t = 76.8
@@ -156,20 +180,20 @@ def test_a_diverging_run_keeps_what_was_recorded(tmp_path: Path) -> None:
 
 
 def test_progress_is_reported_up_to_the_end(tmp_path: Path) -> None:
-    seen: list[tuple[str, float]] = []
-    scenario = load_scenario(write(tmp_path))
-    run_scenario(scenario, tmp_path / "out", progress=lambda name, done: seen.append((name, done)))
-    assert ("Controller 1", 1.0) in seen
-    assert seen[-1] == ("Controller 2", 1.0)
-    assert all(0.0 <= done <= 1.0 for _, done in seen)
+    seen: list[Tally] = []
+    file = write(tmp_path, SCALAR, ("stop_time = 1.0", "stop_time = 15.0"))
+    run_study(file, out=tmp_path / "out", progress=seen.append)
+    assert (seen[-1].done, seen[-1].total, seen[-1].failed) == (2, 2, 0)
+    assert all(0.0 <= tally.done + tally.under_way <= 2.0 for tally in seen)
+    assert any(0.0 < tally.under_way < 1.0 for tally in seen)
 
 
 def test_provenance_is_kept_with_the_rows(tmp_path: Path) -> None:
-    study = run(tmp_path).read()
+    study = run(tmp_path).study()
     assert study.about["scenario"] == (tmp_path / "loop.toml").read_text()
     assert study.about["fmus"]["plant"] == {
         "file": "ScalarPlant.fmu",
-        "sha256": study.rows[0]["plant.sha256"],
+        "sha256": study.records[0].fmus["plant"],
     }
     assert {"congelation", "Python", "fmpy", "pythonfmu"} <= set(study.about["versions"])
     assert study.about["metrics"]["settling_x"]["unit"] == "s"
@@ -177,6 +201,6 @@ def test_provenance_is_kept_with_the_rows(tmp_path: Path) -> None:
 
 
 def test_a_refusal_names_its_component_once(tmp_path: Path) -> None:
-    rows = run(tmp_path, ("epsilon = 0.3", "epsilon = -1")).read().rows
+    rows = rows_of(run(tmp_path, ("epsilon = 0.3", "epsilon = -1")))
     assert rows[0]["status"] == "SLAVE_FAILED"
     assert rows[0]["message"].startswith("controller at t = 0: epsilon = -1.0 is refused: ")

@@ -1,38 +1,142 @@
-"""The side of a sweep in the worker processes."""
+"""Worker processes: what they start with, how they end, where they may be started."""
 
-import multiprocessing
+from __future__ import annotations
+
+import itertools
+import os
+import signal
 import subprocess
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
 
-from congelation.results.store import Store
+import pytest
+
 from congelation.scenario.load import load_scenario
-from congelation.sweep.workers import Work, work
+from congelation.sweep.execute import Job, Outcome, Task
+from congelation.sweep.plan import plan_study
+from congelation.sweep.workers import Finished, Local, Lost, Progress, Unfinished
 from tests.scenarios import write
+from tests.studies import environment, is_alive
 
 HEAVY = ("scipy", "matplotlib", "casadi", "typer", "rich", "congelation.cli")
 
 
 def test_a_worker_starts_without_what_it_may_not_need() -> None:
-    """Its main module is the command's, imported anew in every worker."""
     code = (
-        "import sys, congelation.__main__, congelation.sweep.workers; "
+        "import sys, congelation.sweep.workers; "
         f"print([name for name in {HEAVY} if name in sys.modules])"
     )
-
     found = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
     )
-
     assert found.stdout.strip() == "[]"
 
 
-def test_a_worker_tells_its_own_memory_not_its_parents(tmp_path: Path) -> None:
-    shared = Work(load_scenario(write(tmp_path)), Store(tmp_path / "out"), (), False, 0)
-    ballast = bytearray(800_000_000)
-    ballast[::4096] = b"x" * len(ballast[::4096])
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        told = pool.apply(work, (shared, ())).memory
+def stub(
+    job: Job, task: Task, pool: object, progress: Callable[[float], None]
+) -> tuple[Outcome, bytes | None]:
+    """What the variant says, in place of a run."""
+    if task.variant == "hang":
+        time.sleep(1000)
+    if task.variant == "exit":
+        os._exit(0)
+    if task.variant == "unsendable":
+        return Outcome("COMPLETED", "", metrics={"m": lambda: 0}), None  # type: ignore[dict-item]
+    if task.variant == "pid":
+        return Outcome("COMPLETED", str(os.getpid())), None
+    return Outcome("COMPLETED", task.variant), None
 
-    assert 2e7 < told < 5e8
-    assert len(ballast) == 800_000_000
+
+@pytest.fixture
+def job(tmp_path: Path) -> Job:
+    plan = plan_study(load_scenario(write(tmp_path)), tmp_path, swept=False, timeout=1, write=False)
+    return plan.job
+
+
+def ended(workers: Local, *names: str) -> dict[str, Finished | Lost]:
+    """How stub runs end, which are submitted as one task."""
+    tasks = {str(n): Task(str(n), n, name, {}) for n, name in enumerate(names)}
+    workers.submit(list(tasks.values()))
+    found: dict[str, Finished | Lost] = {}
+    for _ in itertools.count():
+        for event in workers.events():
+            if isinstance(event, Unfinished):
+                workers.submit([tasks[event.run_id]])
+            elif not isinstance(event, Progress):
+                assert event.run_id not in found
+                found[event.run_id] = event
+        if len(found) == len(names):
+            break
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "status", "cause"),
+    [
+        ("exit", "WORKER_DIED", "exit code 0"),
+        ("hang", "TIMED_OUT", "time limit"),
+        ("unsendable", "ERROR", None),
+    ],
+)
+def test_a_run_that_ends_its_worker_costs_no_neighbour(
+    job: Job, name: str, status: str, cause: str | None
+) -> None:
+    workers = Local(1, stub)  # type: ignore[arg-type]
+    with workers.running(job):
+        found = ended(workers, "a", name, "b")
+        assert isinstance(found["1"], Lost)
+        assert (found["1"].outcome.status, found["1"].outcome.cause) == (status, cause)
+        assert [found[n].outcome.message for n in "02"] == ["a", "b"]
+
+
+def test_a_worker_that_is_killed_between_runs_is_replaced(job: Job) -> None:
+    workers = Local(1, stub)  # type: ignore[arg-type]
+    with workers.running(job):
+        pid = int(ended(workers, "pid")["0"].outcome.message)
+        assert workers.memory > 1e6
+        os.kill(pid, signal.SIGKILL)
+        assert ended(workers, "a")["0"].outcome.message == "a"
+        other = int(ended(workers, "pid")["0"].outcome.message)
+    assert other != pid
+    assert not is_alive(other)
+
+
+LINES = """
+from congelation.sweep.engine import run
+results = run({file!r}, out={out!r}, workers=2)
+print(len(results.runs), set(results.runs["status"]))
+"""
+
+
+@pytest.mark.parametrize("form", ["script", "standard input"])
+def test_ten_lines_need_no_main_guard(tmp_path: Path, form: str) -> None:
+    text = LINES.format(file=str(write(tmp_path)), out=str(tmp_path / "out"))
+    (tmp_path / "script.py").write_text(text)
+    command = [sys.executable, *([str(tmp_path / "script.py")] if form == "script" else ["-"])]
+    done = subprocess.run(
+        command,
+        input=text if form != "script" else None,
+        env=environment(),
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert (done.stdout, done.stderr) == ("2 {'COMPLETED'}\n", "")
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # of the notebook's own libraries
+def test_a_notebook_shows_progress_and_results(tmp_path: Path) -> None:
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    text = LINES.format(file=str(write(tmp_path)), out=str(tmp_path / "out"))
+    cells = [nbformat.v4.new_code_cell(source) for source in (text, "results")]
+    notebook = nbformat.v4.new_notebook(cells=cells)
+    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
+    outputs = str(notebook.cells[0].outputs)
+    assert "2 {'COMPLETED'}" in outputs
+    assert "2 of 2 runs, 0 failed" in outputs
+    assert "<table>" in str(notebook.cells[1].outputs)

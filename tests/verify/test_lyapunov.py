@@ -9,7 +9,8 @@ import pytest
 
 from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
-from congelation.sweep.run import run_scenario
+from congelation.sweep.engine import run as run_study
+from congelation.sweep.plan import plan_study
 from congelation.verify.lyapunov import MOST_ROWS, along, center
 from congelation.verify.reference import reference
 from tests.scenarios import SCALAR, write
@@ -20,10 +21,13 @@ RADIUS = ("epsilon = 0.3", "epsilon = 0.3, delta = 0.4")
 
 def test_the_certificate_holds_for_both_controllers_of_the_scalar_plant(tmp_path: Path) -> None:
     """For Controller 2 with ell = inf theta(t); `test_shipped.py` has one for which it fails."""
-    store = run_scenario(load_scenario(write(tmp_path, SCALAR, METRIC, RADIUS)), tmp_path / "out")
-    for row in store.read().rows:
-        assert row["margin"] <= 1e-9
-    assert store.read().about["metrics"]["margin"]["of"] == "the closed loop"
+    results = run_study(write(tmp_path, SCALAR, METRIC, RADIUS), out=tmp_path / "out")
+    for found in results.runs:
+        margin = found.metrics["margin"]
+        assert margin is not None
+        assert margin <= 1e-9
+        assert found.worst_margin == margin
+    assert results.about["metrics"]["margin"]["of"] == "the closed loop"
 
 
 def test_the_ell_of_controller_2_is_the_infimum_of_theta(tmp_path: Path) -> None:
@@ -37,9 +41,8 @@ def test_the_ell_of_controller_2_is_the_infimum_of_theta(tmp_path: Path) -> None
 def test_the_numbers_are_those_of_equation_5(tmp_path: Path) -> None:
     """V = x^2/2 + (ell - theta_hat)^2/2 with gamma = 1 and ell the centre of theta's interval."""
     scenario = load_scenario(write(tmp_path, SCALAR, METRIC, RADIUS))
-    store = run_scenario(scenario, tmp_path / "out")
-    row = store.read().rows[0]
-    run = store.trajectory(row["run_id"])
+    results = run_study(scenario, out=tmp_path / "out")
+    run = results.trajectory(results.runs[0].run_id)
     case = scenario.case(scenario.variants[0].settings)
     found = along(case, run.time, run.columns, run.values)
     x, theta_hat = run.select(["plant.x", "controller.theta_hat[1]"]).T
@@ -48,7 +51,7 @@ def test_the_numbers_are_those_of_equation_5(tmp_path: Path) -> None:
     assert np.array_equal(found.time, run.time)
     np.testing.assert_allclose(found.V, x**2 / 2 + (ell - theta_hat) ** 2 / 2, rtol=1e-12)
     assert np.all(np.diff(found.V) <= 0.0)
-    assert found.worst == row["margin"]
+    assert found.worst == results.runs[0].metrics["margin"]
 
 
 def test_long_runs_are_looked_at_in_parts(tmp_path: Path) -> None:
@@ -62,17 +65,17 @@ def test_long_runs_are_looked_at_in_parts(tmp_path: Path) -> None:
 
 def test_the_states_of_the_loop_are_recorded_for_it(tmp_path: Path) -> None:
     changes = (METRIC, ('record = ["plant.x", "controller.theta_hat"]', 'record = ["plant.u"]'))
-    record = load_scenario(write(tmp_path, SCALAR, *changes)).case({}).experiment.record
+    scenario = load_scenario(write(tmp_path, SCALAR, *changes))
+    plan = plan_study(scenario, tmp_path / "out", swept=False, write=False)
+    record = plan.scenario.case({}).experiment.record
     assert {"plant.x", "controller.theta_hat[1]"} <= set(record)
 
 
 def test_the_deviation_is_that_of_verify(tmp_path: Path) -> None:
     metric = ("[metrics]", '[metrics]\nerror = {metric = "deviation"}')
     scenario = load_scenario(write(tmp_path, SCALAR, metric))
-    study = run_scenario(scenario, tmp_path / "out", verify=True).read()
-    for row in study.rows:
-        verified = study.about["verification"][row["run_id"]]
-        assert row["error"] == pytest.approx(max(d["relative"] for d in verified), rel=1e-6)
+    for found in run_study(scenario, out=tmp_path / "out", verify=True).runs:
+        assert found.metrics["error"] == pytest.approx(max(found.deviations.values()), rel=1e-6)
 
 
 MISTAKES = {
@@ -92,4 +95,4 @@ def test_where_there_is_no_loop_one_line_says_so(
     tmp_path: Path, change: tuple[str, str], message: str
 ) -> None:
     with pytest.raises(InvalidInput, match=message):
-        load_scenario(write(tmp_path, SCALAR, METRIC, change))
+        run_study(write(tmp_path, SCALAR, METRIC, change), out=tmp_path / "out")

@@ -9,10 +9,9 @@ import numpy as np
 import pytest
 
 from congelation.report.exchange import write_csv
-from congelation.results.records import Trajectory
-from congelation.results.store import Store
-from congelation.scenario.load import load_scenario
-from congelation.sweep.run import run_scenario
+from congelation.results.record import Trajectory
+from congelation.results.results import Results
+from congelation.sweep.engine import run
 from congelation.verify.measure import Points, measure
 from tests.scenarios import SCALAR, write
 
@@ -23,10 +22,10 @@ error = {metric = "deviation"}
 margin = {metric = "lyapunov"}"""
 
 
-def rows_of(folder: Path, *changes: tuple[str, str]) -> tuple[Store, list[dict[str, Any]]]:
+def rows_of(folder: Path, *changes: tuple[str, str]) -> tuple[Results, list[dict[str, Any]]]:
     folder.mkdir()
-    store = run_scenario(load_scenario(write(folder, SCALAR, *changes)), folder / "out")
-    return store, list(store.read().rows)
+    results = run(write(folder, SCALAR, *changes), out=folder / "out")
+    return results, [dict(record.metrics) for record in results.runs]
 
 
 @pytest.mark.parametrize("output", ["output_interval = 100", "output_every = 1000"])
@@ -34,8 +33,8 @@ def test_a_coarse_output_changes_no_metric(tmp_path: Path, output: str) -> None:
     metrics = ("[metrics]", MEASURED)
     _, fine = rows_of(tmp_path / "fine", metrics)
     store, coarse = rows_of(tmp_path / "coarse", metrics, (STEP, f"{STEP}\n{output}"))
-    for one, other in zip(fine, coarse, strict=True):
-        assert len(store.trajectory(other["run_id"]).time) < 10
+    for one, other, run_id in zip(fine, coarse, store.runs["run_id"], strict=True):
+        assert len(store.trajectory(run_id).time) < 10
         for name in ("peak_x", "settling_x", "ise_u", "error", "margin"):
             assert other[name] == one[name]
 
@@ -47,8 +46,8 @@ def test_an_output_finer_than_the_steps_finds_peaks_between_them(tmp_path: Path)
     start = ("start = {x0 = [1.0]}", "start = {x0 = [0.3]}")
     _, points = rows_of(tmp_path / "points", long, peak, start)
     store, both = rows_of(tmp_path / "both", fine, peak, start)
-    for one, other in zip(points, both, strict=True):
-        kept = store.trajectory(other["run_id"])
+    for one, other, run_id in zip(points, both, store.runs["run_id"], strict=True):
+        kept = store.trajectory(run_id)
         assert other["peak_u"] >= one["peak_u"]
         assert other["peak_u"] >= np.max(np.abs(kept.select(["controller.u"])))
 
@@ -72,7 +71,7 @@ def test_a_metric_without_an_answer_is_empty(tmp_path: Path) -> None:
     assert [row["over"] for row in rows] == [None, None]
     write_csv(store, tmp_path / "csv")
     header, first, _ = (tmp_path / "csv" / "runs.csv").read_text().splitlines()
-    assert first.split(",")[header.replace('"', "").split(",").index("over")] == ""
+    assert first.split(",")[header.replace('"', "").split(",").index("metric.over")] == ""
 
 
 def test_nan_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -85,3 +84,12 @@ def test_nan_is_no_answer(monkeypatch: pytest.MonkeyPatch) -> None:
     trajectory = Trajectory(np.array([0.0]), ("a.b",), np.array([[1.0]]), {})
     specs = [MetricSpec("n", "n", "a.b", {}), MetricSpec("p", "peak", "a.b", {})]
     assert measure(specs, None, trajectory) == {"n": None, "p": 1.0}  # type: ignore[arg-type]  # of no loop
+
+
+def test_every_declared_metric_of_the_loop_has_its_function() -> None:
+    from congelation.scenario.metrics import METRICS
+    from congelation.verify.measure import LOOP_METRICS
+
+    declared = {name for name, entry in METRICS.items() if entry.evaluate is None}
+    assert declared == set(LOOP_METRICS)
+    assert all(METRICS[name].loop for name in declared)

@@ -10,26 +10,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from congelation.cosim.pool import SlavePool
 from congelation.errors import InvalidInput
-from congelation.results.records import Trajectory
+from congelation.results.record import Trajectory
 from congelation.scenario.load import load_scenario
-from congelation.sweep.execute import execute
-from congelation.sweep.plan import plan_runs
-from congelation.sweep.run import run_scenario
+from congelation.sweep.engine import run
 from congelation.verify.reference import LARGEST_DEVIATION, Deviation, compare, reference
 from tests.scenarios import FMUS, ROOT, SCALAR, write
+from tests.studies import done
 
 SET_1 = '{"controller.damping" = true}'
 
 
 def deviations(file: Path, variant: int = 0) -> tuple[Deviation, ...]:
     scenario = load_scenario(file)
-    run = list(plan_runs(scenario))[variant]
-    with SlavePool() as pool:
-        row, trajectory = execute(run, scenario, pool)
-    assert row["status"] == "COMPLETED", row["message"]
-    return compare(reference(run.case), trajectory)
+    outcome, trajectory = done(scenario, file.parent / "out", variant)
+    assert outcome.status == "COMPLETED", outcome.message
+    return compare(reference(scenario.case(scenario.variants[variant].settings)), trajectory)
 
 
 def shortened(folder: Path, name: str, stop: float, step: float) -> Path:
@@ -87,13 +83,12 @@ def test_start_values_offsets_and_start_time_are_those_of_the_run(tmp_path: Path
 
 def test_a_wrong_trajectory_is_told(tmp_path: Path) -> None:
     scenario = load_scenario(write(tmp_path))
-    run = next(plan_runs(scenario))
-    with SlavePool() as pool:
-        trajectory = execute(run, scenario, pool)[1]
+    case = scenario.case(scenario.variants[0].settings)
+    _, trajectory = done(scenario, tmp_path / "out")
     values = trajectory.values.copy()
     values[50, 0] += 0.25
     wrong: Trajectory = replace(trajectory, values=values)
-    found = {d.variable: d for d in compare(reference(run.case), wrong)}
+    found = {d.variable: d for d in compare(reference(case), wrong)}
     assert found["plant.x"].error == pytest.approx(0.25, abs=1e-3)
     assert found["plant.x"].relative == pytest.approx(0.25, abs=1e-3)  # the peak is x(0) = 1
     assert found["controller.u"].relative < 1e-3
@@ -105,7 +100,7 @@ def test_a_variable_that_stays_at_zero_has_no_relative_error(tmp_path: Path) -> 
     scenario = load_scenario(tmp_path / "loop.toml")
     zero = np.zeros((2, 1))
     trajectory = Trajectory(np.array([0.0, 1.0]), ("plant.x",), zero + 1e-3, {})
-    (found_,) = compare(reference(next(plan_runs(scenario)).case), trajectory)
+    (found_,) = compare(reference(scenario.case(scenario.variants[0].settings)), trajectory)
     assert (found_.error, found_.relative) == (1e-3, math.inf)
 
 
@@ -148,7 +143,7 @@ def test_what_cannot_be_verified_is_told_before_it_runs(
     new = new.replace("OTHER", f'"{without_spec(tmp_path)}"')
     scenario = load_scenario(write(tmp_path, SCALAR, (old, new)))
     with pytest.raises(InvalidInput) as told:
-        run_scenario(scenario, tmp_path / "out", verify=True)
+        run(scenario, out=tmp_path / "out", verify=True)
     assert message in str(told.value)
     assert not list((tmp_path / "out").glob("*/*.parquet"))
 
@@ -170,15 +165,9 @@ def test_a_plant_and_the_controller_of_another_are_no_loop(tmp_path: Path) -> No
 
 def test_the_deviations_are_stored(tmp_path: Path) -> None:
     scenario = load_scenario(write(tmp_path, SCALAR, (SET_1, '{"controller.epsilon" = -1.0}')))
-    with pytest.raises(InvalidInput, match=r"loop\.toml: Controller 1: epsilon = "):
-        run_scenario(scenario, tmp_path / "out", verify=True)
-    store = run_scenario(load_scenario(write(tmp_path)), tmp_path / "out", verify=True)
-    study = store.read()
-    for row in study.rows:
-        found = study.about["verification"][row["run_id"]]
-        assert [d["variable"] for d in found] == [
-            "plant.x",
-            "controller.theta_hat[1]",
-            "controller.u",
-        ]
-        assert all(d["relative"] < LARGEST_DEVIATION for d in found)
+    refused, _ = run(scenario, out=tmp_path / "out", verify=True).runs
+    assert refused.status == "REFUSED"
+    assert refused.message.startswith("epsilon = ")
+    for found in run(write(tmp_path), out=tmp_path / "out", verify=True).runs:
+        assert list(found.deviations) == ["plant.x", "controller.theta_hat[1]", "controller.u"]
+        assert max(found.deviations.values()) < LARGEST_DEVIATION

@@ -21,16 +21,16 @@ import numpy.typing as npt
 
 from congelation.cosim.result import Status
 from congelation.errors import InvalidInput, nearest
-from congelation.report.labels import math_label, with_unit
-from congelation.results.records import Trajectory
-from congelation.results.store import Store, replace_whole
+from congelation.results.labels import math_label, with_unit
+from congelation.results.record import RunRecord, Study, Trajectory
+from congelation.results.store import replace_whole
 from congelation.scenario.metrics import norm
 
 if TYPE_CHECKING:  # Matplotlib takes half a second, which only commands that draw should wait for
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "SETTINGS", "draw", "figure_names", "save"]
+__all__ = ["FORMATS", "SETTINGS", "draw", "draw_panels", "save"]
 
 Array = npt.NDArray[np.float64]
 _Style = Literal["-"] | tuple[float, Sequence[float]]
@@ -92,38 +92,38 @@ class _Curve:
     unit: str
 
 
-def figure_names(store: Store) -> tuple[str, ...]:
-    """The names of the figures that the stored study defines; a sweep has none of its runs."""
-    about = store.read().about
-    return () if "sweep" in about else tuple(str(figure["name"]) for figure in about["figures"])
-
-
-def draw(store: Store, name: str) -> Figure:
-    """The figure called `name`, from the stored runs.
+def draw(
+    study: Study, runs: Sequence[tuple[RunRecord, Trajectory]], name: str | None = None
+) -> Figure:
+    """The figure called `name`, by default the first that the study defines.
 
     Raises
     ------
     InvalidInput
         If the study defines no such figure.
     """
+    figures = {str(f["name"]): f for f in study.about["figures"]}
+    chosen = next(iter(figures), "") if name is None else name
+    if chosen not in figures:
+        raise InvalidInput(f"there is no figure '{chosen}'; {nearest(chosen, figures)}")
+    span = figures[chosen]["span"]
+    return draw_panels(runs, figures[chosen]["panels"], span or (-math.inf, math.inf))
+
+
+def draw_panels(
+    runs: Sequence[tuple[RunRecord, Trajectory]],
+    panels: Sequence[str],
+    span: tuple[float, float] = (-math.inf, math.inf),
+) -> Figure:
+    """Panels above each other, one per group of variables, over a part of the time axis."""
     import matplotlib as mpl
 
-    study = store.read()
-    figures = {str(f["name"]): f for f in study.about["figures"]}
-    if name not in figures:
-        raise InvalidInput(f"{store.root} has no figure '{name}'; {nearest(name, figures)}")
-    start, stop = figures[name]["span"] or (-math.inf, math.inf)
-    runs = [
-        _Run(
-            str(row["variant"]),
-            row["status"] == Status.COMPLETED.name,
-            _cut(trajectory, start, stop),
-        )
-        for row in study.rows
-        for trajectory in (store.trajectory(str(row["run_id"])),)
+    shown = [
+        _Run(r.variant, r.status == Status.COMPLETED.name, _cut(trajectory, *span))
+        for r, trajectory in runs
     ]
     with mpl.rc_context(SETTINGS):
-        return _draw([run for run in runs if len(run.trajectory.time)], figures[name]["panels"])
+        return _draw([run for run in shown if len(run.trajectory.time)], panels)
 
 
 def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:

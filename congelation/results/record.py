@@ -1,0 +1,175 @@
+"""The record of a run, its trajectory, and a study: what is stored and read back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["GROUPS", "RunRecord", "Study", "Trajectory"]
+
+Scalar = bool | int | float | str
+
+GROUPS: Mapping[str, str] = {
+    "settings": "set.",
+    "metrics": "metric.",
+    "deviations": "deviation.",
+    "fmus": "fmu.",
+}
+"""Fields of a record that hold several values, and what the names of their columns begin with."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRecord:
+    """What is known of one run.
+
+    A field is one column of that name (`trust_error`: ``trust.error``), a mapping has one column
+    per entry (``set.controller.epsilon``, ``metric.peak_x``). None: not known, or not applicable.
+
+    Parameters
+    ----------
+    run_id : str
+        Hash of what the run consists of.
+    study : str
+        Hash of the study that planned it last.
+    number : int
+        Its place in that study's plan.
+    variant : str
+    replicate : int, optional
+        Number of the repetition, from 1.
+    settings : mapping
+        The values that differ between the runs of the study, by ``component.variable`` or
+        ``experiment.key``; None for a start value left to the FMU.
+    status : str
+        COMPLETED, or how the run ended otherwise.
+    message : str
+        One line.
+    cause : str, optional
+        What ended the worker process: ``SIGSEGV``, ``exit code 3``, ``time limit``.
+    metrics : mapping
+        None unless the run reached its stop time.
+    deviations : mapping
+        Of a verified run: the largest error of each variable against the monolithic solution,
+        relative to the variable's peak.
+    steps, rejected_steps, iterations : int, optional
+        Communication steps accepted and rejected, passes over all components.
+    estimated_error : float, optional
+        As in `congelation.cosim.result.Statistics`.
+    wall_time : float, optional
+        Seconds.
+    warnings : str, optional
+        Warnings of the FMUs, one a line.
+    worst_margin : float, optional
+        Largest relative margin of the Lyapunov certificate; positive where it fails.
+    trust_error : float, optional
+    trust_verdict : str, optional
+    fmus : mapping
+        SHA-256 of the FMU of each component.
+    seed : int, optional
+        That the sweep was drawn with.
+    code_version : str
+    numerics_version : int
+    """
+
+    run_id: str
+    study: str = ""
+    number: int = 0
+    variant: str
+    replicate: int | None = None
+    settings: Mapping[str, Scalar | None] = field(default_factory=dict)
+    status: str
+    message: str = ""
+    cause: str | None = None
+    metrics: Mapping[str, float | None] = field(default_factory=dict)
+    deviations: Mapping[str, float] = field(default_factory=dict)
+    steps: int | None = None
+    rejected_steps: int | None = None
+    iterations: int | None = None
+    estimated_error: float | None = None
+    wall_time: float | None = None
+    warnings: str | None = None
+    worst_margin: float | None = None
+    trust_error: float | None = None
+    trust_verdict: str | None = None
+    fmus: Mapping[str, str] = field(default_factory=dict)
+    seed: int | None = None
+    code_version: str = ""
+    numerics_version: int = 0
+
+    def row(self) -> dict[str, Any]:
+        """The record by column."""
+        row: dict[str, Any] = {}
+        for name, column in _COLUMNS.items():
+            value = getattr(self, name)
+            if name in GROUPS:
+                row.update({f"{column}{key}": entry for key, entry in value.items()})
+            else:
+                row[column] = value
+        return row
+
+    @classmethod
+    def of(cls, row: Mapping[str, Any]) -> RunRecord:
+        """The record that a row holds; of deviations and FMUs, those that there are."""
+        values: dict[str, Any] = {
+            name: row[column] for name, column in _COLUMNS.items() if column in row
+        }
+        for name, prefix in GROUPS.items():
+            group = {k.removeprefix(prefix): v for k, v in row.items() if k.startswith(prefix)}
+            if name in ("deviations", "fmus"):
+                group = {key: value for key, value in group.items() if value is not None}
+            values[name] = group
+        return cls(**values)
+
+
+_COLUMNS = {
+    f.name: GROUPS.get(f.name, f.name.replace("trust_", "trust.")) for f in fields(RunRecord)
+}
+
+
+@dataclass(frozen=True)
+class Trajectory:
+    """A recorded run: row k of `values` belongs to ``time[k]``.
+
+    Parameters
+    ----------
+    time : numpy.ndarray
+        Shape (N,), in seconds.
+    columns : tuple of str
+        M names ``component.variable``.
+    values : numpy.ndarray
+        Shape (N, M).
+    units : mapping
+        Unit of each column; a missing or empty one is dimensionless.
+    """
+
+    time: npt.NDArray[np.float64]
+    columns: tuple[str, ...]
+    values: npt.NDArray[np.float64]
+    units: Mapping[str, str]
+
+    def group(self, name: str) -> tuple[str, ...]:
+        """Columns called `name` or ``name[..]``, in order; ``plant.x`` is all of the vector x."""
+        return tuple(c for c in self.columns if c == name or c.startswith(f"{name}["))
+
+    def select(self, columns: Sequence[str]) -> npt.NDArray[np.float64]:
+        """The values of some columns, shape (N, len(columns))."""
+        return self.values[:, [self.columns.index(c) for c in columns]]
+
+
+@dataclass(frozen=True)
+class Study:
+    """The records of a study, and how to read them.
+
+    Parameters
+    ----------
+    records : tuple of RunRecord
+        In the order of the plan.
+    about : mapping
+        Title, scenario text, figures, metric definitions and versions, as they were stored.
+    """
+
+    records: tuple[RunRecord, ...]
+    about: Mapping[str, Any]

@@ -1,0 +1,307 @@
+"""The engine of studies: runs handed to workers, their records committed in batches.
+
+`run` and `sweep` are the same work: a plan, workers, a store. Whatever ends, a study goes on from
+what the store holds: a run whose worker ended is tried once more, alone, and one that ends its
+worker again is a record that says so; after the death of this process, `resume` does what is
+missing.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Collection
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from congelation.cosim.result import Status
+from congelation.errors import InvalidInput
+from congelation.results.record import RunRecord
+from congelation.results.results import Results
+from congelation.results.store import StoreError
+from congelation.scenario.load import load_scenario
+from congelation.scenario.scenario import Scenario
+from congelation.scenario.ssp import read_ssp
+from congelation.sweep.cluster import Cluster
+from congelation.sweep.execute import REFUSED, Task
+from congelation.sweep.notebook import notebook_progress
+from congelation.sweep.plan import Plan, plan_study
+from congelation.sweep.workers import Finished, Local, Lost, Progress, Workers
+
+__all__ = ["Listener", "Tally", "carry_out", "read", "result_folder", "run", "sweep"]
+
+BATCH, PERIOD = 100, 1.0
+"""Records, and seconds, after which they are committed: what a killed process repeats at most."""
+
+TASK_SECONDS = 0.05
+"""Time that a task with several short runs may take: handing one out costs about a millisecond."""
+
+MEMORY_PERIOD = 0.5
+"""Seconds between two looks at the memory of the workers."""
+
+
+@dataclass(frozen=True)
+class Tally:
+    """How far a study is.
+
+    Parameters
+    ----------
+    done, total : int
+        Runs.
+    failed : int
+        Those done by this call that did not reach their stop time.
+    memory : int
+        Bytes that the workers take together.
+    under_way : float
+        Sum of the fractions done of the runs that are under way.
+    """
+
+    done: int
+    total: int
+    failed: int = 0
+    memory: int = 0
+    under_way: float = 0.0
+
+
+Listener = Callable[[Tally], None]
+"""Called whenever some runs are done or have gone on."""
+
+
+def run(
+    scenario: Scenario | Path | str,
+    *,
+    out: Path | str | None = None,
+    workers: int = 1,
+    verify: bool = False,
+    timeout: float | None = None,
+    progress: Listener | None = None,
+) -> Results:
+    """Run all variants of a scenario, in worker processes, and store them.
+
+    Parameters
+    ----------
+    scenario : Scenario or path
+        A scenario, or the file of one (.toml, .ssp).
+    out : path, optional
+        The result directory, by default ``results/<scenario>``. Runs of the same scenario are done
+        again; those of an earlier state of it are kept.
+    workers : int
+        Number of processes.
+    verify : bool
+        Whether each run that reached its stop time is compared with the monolithic solution.
+    timeout : float, optional
+        Seconds that a run may take.
+    progress : callable, optional
+        Called with a `Tally`; in a notebook a bar is shown by default.
+
+    Raises
+    ------
+    InvalidInput
+        If the scenario is wrong, no run of it can begin, or the directory cannot be used.
+    StoreError
+        If results cannot be written.
+    """
+    found = read(scenario)
+    plan = plan_study(found, result_folder(found, out), swept=False, verify=verify, timeout=timeout)
+    return carry_out(plan, Local(workers), progress or notebook_progress())
+
+
+def sweep(
+    scenario: Scenario | Path | str,
+    *,
+    out: Path | str | None = None,
+    workers: int = 1,
+    scheduler: str | None = None,
+    ship: bool = False,
+    resume: bool = False,
+    retry: Collection[str] = (),
+    verify: bool = False,
+    timeout: float | None = None,
+    progress: Listener | None = None,
+) -> Results:
+    """Run all variants of a scenario at every point of its sweep, and store them.
+
+    Parameters
+    ----------
+    scenario, out, workers, verify, timeout, progress
+        As for `run`.
+    scheduler : str, optional
+        Address of a dask scheduler, whose workers do the runs instead.
+    ship : bool
+        Whether FMUs are sent to these workers, and trajectories taken from them.
+    resume : bool
+        Whether the directory may have finished runs, which are not done again.
+    retry : collection of str
+        Resume, and do runs that ended with such a status again.
+
+    Raises
+    ------
+    InvalidInput
+        If the scenario is wrong, no run of it can begin, or the directory cannot be used.
+    StoreError
+        If results cannot be written.
+    """
+    found = read(scenario)
+    plan = plan_study(
+        found,
+        result_folder(found, out),
+        swept=True,
+        resume=resume or bool(retry),
+        retry=retry,
+        verify=verify,
+        timeout=timeout,
+    )
+    place = Local(workers) if scheduler is None else Cluster(scheduler, ship=ship)
+    return carry_out(plan, place, progress or notebook_progress())
+
+
+def read(scenario: Scenario | Path | str) -> Scenario:
+    """A scenario, or the one that a file describes."""
+    if isinstance(scenario, Scenario):
+        return scenario
+    file = Path(scenario)
+    return read_ssp(file) if file.suffix == ".ssp" else load_scenario(file)
+
+
+def result_folder(scenario: Scenario, out: Path | str | None) -> Path:
+    """Where results go."""
+    return Path("results") / scenario.file.stem if out is None else Path(out)
+
+
+def carry_out(plan: Plan, workers: Workers, progress: Listener | None = None) -> Results:
+    """Do what is missing of a study.
+
+    Raises
+    ------
+    InvalidInput
+        If not one run could begin; their records say why.
+    StoreError
+        If results cannot be written.
+    KeyboardInterrupt
+        On Ctrl-C, after the workers have stopped; what is finished is stored.
+    """
+    engine = _Engine(plan, workers, progress)
+    try:
+        engine.work()
+    except StoreError:
+        with suppress(StoreError):  # of two complaints about the disk, the first is to be seen
+            engine.commit()
+        raise
+    except BaseException:
+        engine.commit()
+        raise
+    else:
+        engine.commit()
+    finally:
+        with suppress(StoreError):
+            plan.store.close()
+    plan.store.export()
+    if engine.refused and engine.refused[0] == plan.total:
+        raise InvalidInput(f"{plan.scenario.file}: {engine.refused[1]}")
+    return Results(plan.store.root, plan.job.study)
+
+
+class _Engine:
+    """The runs of a plan on their way: waiting, under way, ended and not yet committed."""
+
+    def __init__(self, plan: Plan, workers: Workers, progress: Listener | None) -> None:
+        self.plan = plan
+        self.workers = workers
+        self.progress = progress
+        self.refused: tuple[int, str] = (0, "")
+        self._waiting = plan.tasks()
+        self._again: deque[Task] = deque()  # their worker ended before they began
+        self._alone: deque[Task] = deque()  # their worker ended while they were under way
+        self._under_way: dict[str, Task] = {}
+        self._fractions: dict[str, float] = {}
+        self._deaths: Counter[str] = Counter()
+        self._records: list[RunRecord] = []
+        self._committed = time.monotonic()
+        self._done = plan.total - len(plan.missing)
+        self._failed = 0
+        self._seconds = TASK_SECONDS  # of a run, by the latest ones
+        self._memory, self._looked = 0, 0.0
+
+    def work(self) -> None:
+        """Do all missing runs."""
+        if not self.plan.missing:
+            return
+        with self.workers.running(self.plan.job):
+            while self._submit() or self._under_way:
+                for event in self.workers.events():
+                    task = self._under_way[event.run_id]
+                    if isinstance(event, Progress):
+                        self._fractions[event.run_id] = event.fraction
+                        continue
+                    del self._under_way[event.run_id]
+                    self._fractions.pop(event.run_id, None)
+                    if isinstance(event, Finished):
+                        if event.trajectory is not None:
+                            self.plan.store.write_trajectory(event.run_id, event.trajectory)
+                        self._end(task, self.plan.record(task, event.outcome))
+                    elif isinstance(event, Lost):
+                        record = self.plan.record(task, event.outcome)
+                        self._lost(task, record, final=event.outcome.cause == "time limit")
+                    else:
+                        self._again.append(task)
+                if self._records and (
+                    len(self._records) >= BATCH or time.monotonic() > self._committed + PERIOD
+                ):
+                    self.commit()
+                self._tell()
+
+    def commit(self) -> None:
+        """Store the records of the runs that have ended."""
+        if self._records:
+            self.plan.store.add(self._records)
+            self._records = []
+        self._committed = time.monotonic()
+
+    def _submit(self) -> bool:
+        """Hand out runs: enough that no worker waits, few enough to start again."""
+        left = len(self.plan.missing) // (4 * self.workers.size)
+        size = max(1, min(self.workers.most, left, int(TASK_SECONDS / max(self._seconds, 1e-6))))
+        submitted = False
+        while len(self._under_way) < 2 * self.workers.size * size:
+            if self._alone:
+                tasks = [self._alone.popleft()]
+            elif self._again:
+                tasks = [self._again.popleft() for _ in range(min(size, len(self._again)))]
+            else:
+                tasks = list(itertools.islice(self._waiting, size))
+            if not tasks:
+                break
+            self._under_way.update({task.run_id: task for task in tasks})
+            self.workers.submit(tasks)
+            submitted = True
+        return submitted
+
+    def _lost(self, task: Task, record: RunRecord, *, final: bool) -> None:
+        """A run ended its worker: it is tried again, unless it did so before or was out of time."""
+        self._deaths[task.run_id] += 1
+        if final or self._deaths[task.run_id] > 1:
+            self.plan.store.trajectory_file(task.run_id).unlink(missing_ok=True)
+            self._end(task, record)
+        else:
+            self._alone.append(task)
+
+    def _end(self, task: Task, record: RunRecord) -> None:
+        self._records.append(record)
+        self._done += 1
+        self._failed += record.status != Status.COMPLETED.name
+        if record.status == REFUSED:
+            count, first = self.refused
+            self.refused = (count + 1, first or f"{task.variant}: {record.message}")
+        if record.wall_time is not None:
+            self._seconds += 0.2 * (record.wall_time - self._seconds)
+
+    def _tell(self) -> None:
+        if self.progress is None:
+            return
+        now = time.monotonic()
+        if now > self._looked + MEMORY_PERIOD or self._done == self.plan.total:
+            self._memory, self._looked = self.workers.memory or self._memory, now
+        under_way = sum(self._fractions.values())
+        self.progress(Tally(self._done, self.plan.total, self._failed, self._memory, under_way))
