@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING
 
 # The same names as in _PLACES, for type checkers and editors.
 if TYPE_CHECKING:
+    from congelation.conformance.runner import check
     from congelation.cosim import (
         Component,
         Connection,
@@ -36,9 +37,11 @@ if TYPE_CHECKING:
     from congelation.export.examples import copy_examples as examples
     from congelation.export.examples import write_starter as new
     from congelation.export.spec import Spec
+    from congelation.results.results import Results, open_results
     from congelation.scenario.load import load_scenario
     from congelation.scenario.scenario import Experiment, Scenario, Variant
     from congelation.scenario.ssp import write_ssp as export_ssp
+    from congelation.sweep.engine import run, sweep
     from congelation.verify.certify import certify
     from congelation.verify.reference import verify
 
@@ -57,6 +60,7 @@ __all__ = [
     "Jacobi",
     "Output",
     "Result",
+    "Results",
     "Sampled",
     "Scenario",
     "SlaveError",
@@ -67,12 +71,16 @@ __all__ = [
     "__version__",
     "build",
     "certify",
+    "check",
     "examples",
     "export_ssp",
     "info",
     "load_scenario",
     "new",
+    "open_results",
+    "run",
     "simulate",
+    "sweep",
     "verify",
 ]
 
@@ -89,6 +97,7 @@ _PLACES: Mapping[str, str] = {
     "Jacobi": "cosim.coupling:Jacobi",
     "Output": "cosim:Output",
     "Result": "cosim:Result",
+    "Results": "results.results:Results",
     "Sampled": "cosim.coupling:Sampled",
     "Scenario": "scenario.scenario:Scenario",
     "SlaveError": "errors:SlaveError",
@@ -98,12 +107,16 @@ _PLACES: Mapping[str, str] = {
     "Variant": "scenario.scenario:Variant",
     "build": "export.build:build",
     "certify": "verify.certify:certify",
+    "check": "conformance.runner:check",
     "examples": "export.examples:copy_examples",
     "export_ssp": "scenario.ssp:write_ssp",
     "info": "cosim.info:info",
     "load_scenario": "scenario.load:load_scenario",
     "new": "export.examples:write_starter",
+    "open_results": "results.results:open_results",
+    "run": "sweep.engine:run",
     "simulate": "cosim:simulate",
+    "sweep": "sweep.engine:sweep",
     "verify": "verify.reference:verify",
 }
 """Where each public name is: ``module:name`` below this package."""
