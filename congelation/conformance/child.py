@@ -85,13 +85,18 @@ def _again(bench: Bench) -> str:
 
 
 def _beside(bench: Bench) -> str:
-    """Make two instances and step both."""
-    instances = [bench.ready(name) for name in ("first", "second")]
-    for instance in instances:
-        bench.run(instance, last=1)
-    for instance in instances:
-        instance.free()
+    """Make two instances."""
+    for name in ("first", "second"):
+        bench.fresh(name)
     return ""
+
+
+def _survey(bench: Bench) -> str:
+    """Do all that the survey asks for in one process: a run, another one, two instances."""
+    first = bench.alone()
+    difference = first_difference(bench.alone(), first)
+    _beside(bench)
+    return json.dumps({"run": to_text(first), "difference": difference})
 
 
 def _replay(bench: Bench) -> str:
@@ -110,6 +115,7 @@ TASKS: Mapping[str, Callable[[Bench], str]] = {
     "again": _again,
     "beside": _beside,
     "replay": _replay,
+    "survey": _survey,
 }
 
 

@@ -79,7 +79,8 @@ def check(
         for target in (junit, json):
             if target is not None and not target.absolute().parent.is_dir():
                 raise InvalidInput(f"there is no folder for '{target}'")
-        with Progress(console=Console(stderr=True), transient=True) as progress:
+        console = Console(stderr=True)
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("checking", total=len(fmus) * len(chosen))
 
             def advance(path: Path, verdict: Verdict) -> None:

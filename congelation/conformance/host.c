@@ -108,7 +108,9 @@ int main(int count, char *words[])
         fprintf(stderr, "usage: host load|run LIBRARY ...\n");
         return 2;
     }
-    library = dlopen(words[2], RTLD_LAZY | RTLD_LOCAL);
+    /* Loaded alone, all symbols have to be there; running, those that are called. */
+    int binding = strcmp(words[1], "load") == 0 ? RTLD_NOW : RTLD_LAZY;
+    library = dlopen(words[2], binding | RTLD_LOCAL);
     if (library == NULL) {
         fprintf(stderr, "%s\n", dlerror());
         return 2;

@@ -41,7 +41,12 @@ def compile_host(folder: Path) -> Path:
         as_file(files("fmpy") / "c-code") as headers,
     ):
         subprocess.run(
-            [compiler, "-O1", f"-I{headers}", "-o", program, source, "-ldl", "-lm"], check=True
+            [
+                *(compiler, "-O1", f"-I{headers}", "-o", program, source),
+                # FMUs may leave the functions of libm to their host.
+                *("-Wl,--no-as-needed", "-ldl", "-lm"),
+            ],
+            check=True,
         )
     return program
 

@@ -23,6 +23,7 @@ __all__ = [
     "CO_SIMULATION",
     "DEFAULT_TIME_LIMIT",
     "MODEL_EXCHANGE",
+    "NOT_RESTORED",
     "Breach",
     "DynamicRule",
     "Finding",
@@ -174,6 +175,9 @@ class DynamicRule(Rule):
     kind = "dynamic"
 
 
+# The cause of whatever differs after fmi2Reset.
+NOT_RESTORED = "fmi2Reset does not restore all"
+
 BY_ID: dict[str, Rule] = {}
 
 
@@ -320,6 +324,13 @@ class Finding:
         return f"{place}: {self.rule} {self.level.value}: {what} - {self.remedy}"
 
 
+def _cause(what: str) -> str:
+    """What failed, if the text of a breach tells that other rules may meet the same; else ""."""
+    if re.match(r"fmi2\w+\b.* returned ", what):
+        return what
+    return NOT_RESTORED if re.match(r"after .*\bfmi2Reset\b.*: ", what) else ""
+
+
 def judge(
     rule: StaticRule | DynamicRule, subject: Subject | Bench
 ) -> tuple[Outcome, tuple[Breach, ...], str, str]:
@@ -348,6 +359,7 @@ def judge(
             return outcome, (), str(reason), ""
     except Violated as breach:
         breaches.append(Breach(str(breach)))
-    if breaches and re.match(r"fmi2\w+\b.* returned ", breaches[0].what):
-        cause = breaches[0].what
+    causes = {_cause(breach.what) for breach in breaches}
+    if len(causes) == 1:
+        (cause,) = causes
     return (Outcome.FOUND if breaches else Outcome.PASS), tuple(breaches), "", cause

@@ -263,8 +263,16 @@ class Checker:
         return self._in_child(rule, able)
 
     def _survey(self) -> Ability:
-        """Find out what the FMU can do, each question in a process of its own."""
-        able = Ability()
+        """Find out what the FMU can do.
+
+        In one process if all goes well; if not, each question in a process of its own.
+        """
+        able, reference = Ability(), self._root / "reference.json"
+        text, failed = self._task("survey", able)
+        if not failed:
+            found = json.loads(text)
+            reference.write_text(found["run"], encoding="utf-8")
+            return Ability(repeats=not found["difference"], reference=str(reference))
         _, failed = self._task("load", able)
         if failed:
             return replace(able, loads=failed)
@@ -275,7 +283,6 @@ class Checker:
         moving, failed = self._task("alone", able)
         if failed:
             able = still
-        reference = self._root / "reference.json"
         reference.write_text(text if failed else moving, encoding="utf-8")
         difference, again = self._task("again", able)
         _, beside = self._task("beside", able)
@@ -427,7 +434,7 @@ def _merged(verdicts: Sequence[Verdict]) -> tuple[Verdict, ...]:
     """
     groups: dict[str, list[int]] = defaultdict(list)
     for place, verdict in enumerate(verdicts):
-        if verdict.outcome is Outcome.FOUND and verdict.cause and len(verdict.breaches) == 1:
+        if verdict.outcome is Outcome.FOUND and verdict.cause:
             groups[_key(verdict.cause)].append(place)
     merged = list(verdicts)
     for key, places in groups.items():

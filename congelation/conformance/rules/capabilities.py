@@ -224,7 +224,7 @@ def several_instances(bench: Bench) -> Iterator[str]:
 
     Example: A null pointer for the second instance.
     """
-    if bench.alone_only:
+    if bench.description.flag("canBeInstantiatedOnlyOncePerProcess"):
         raise NotApplicable("canBeInstantiatedOnlyOncePerProcess is true")
     first, second = bench.attempt("first"), bench.attempt("second")
     for instance in (first, second):

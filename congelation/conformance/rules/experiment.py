@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
 from congelation.conformance.instance import Instance
-from congelation.conformance.rule import Level, dynamic
+from congelation.conformance.rule import Level, NotApplicable, dynamic
 from congelation.conformance.trajectory import Grid, demand, excite, simulate
 
 __all__: list[str] = []
@@ -45,7 +45,13 @@ def start_time(bench: Bench) -> Iterator[str]:
     Example: Time = 0 in fmi2Instantiate and nowhere else.
     """
     later = bench.grid.start + _LATER
-    instance = _begun(bench, later)
+    instance = bench.fresh()
+    if instance.setup(later) not in (Status.OK, Status.WARNING):
+        # An FMU may check whether its model is valid there.
+        raise NotApplicable(f"the FMU does not take the start time {later:g}")
+    demand(instance.enter(), "fmi2EnterInitializationMode")
+    excite(instance, bench.description, 0)
+    demand(instance.leave(), "fmi2ExitInitializationMode")
     for v in bench.description.variables:
         if v.causality == "independent":
             _, (time,) = instance.get("Real", [v.reference])

@@ -10,7 +10,7 @@ from congelation.conformance.description import Value
 from congelation.conformance.instance import Instance
 from congelation.conformance.probe import shifted
 from congelation.conformance.rule import Level, NotApplicable, dynamic
-from congelation.conformance.trajectory import demand, excitation, excite, inputs
+from congelation.conformance.trajectory import demand, excitation, excite, inputs, same
 
 __all__ = ["restore", "save"]
 
@@ -165,7 +165,7 @@ def holds_inputs_and_parameters(bench: Bench) -> Iterator[str]:
         restore(instance, state)
         found = _untouched(bench, instance)
         demand(instance.free_state(state), "fmi2FreeFMUstate")
-    if found != expected:
+    if not all(map(same, found, expected)):
         yield "a step from the state set again differs after inputs or tunable parameters were set"
 
 
@@ -174,10 +174,7 @@ def _untouched(bench: Bench, instance: Instance) -> list[Value]:
     time = bench.grid.time(3)
     demand(instance.step(time, bench.grid.time(4) - time), "fmi2DoStep")
     # Nothing is excited between 4 and 4: this only reads.
-    return [
-        float(x).hex() if isinstance(x, float) else x
-        for x in bench.run(instance, first=4, last=4).rows[0]
-    ]
+    return list(bench.run(instance, first=4, last=4).rows[0])
 
 
 @dynamic("FMI2-FMUSTATE-06", "2.1.8, 4.2.4", Level.VIOLATION)

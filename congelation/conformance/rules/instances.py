@@ -103,6 +103,8 @@ def free_anywhere(bench: Bench) -> Iterator[str]:
 
     Example: A second instance that finds the globals of the first.
     """
+    for _ in range(2):
+        bench.alone()
     bench.fresh().free()
     bench.begin(bench.fresh()).free()
     bench.ready().free()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import posixpath
 import re
 import stat
 import struct
@@ -300,8 +301,9 @@ def source_files(subject: Subject) -> Iterator[str]:
     sources = [name for name in subject.names if name.startswith("sources/")]
     if not listed and not sources:
         raise NotApplicable("an FMU without sources")
-    for name in listed:
-        if f"sources/{name}" not in sources:
+    # A binary FMU may keep the list and leave the sources out.
+    for name in listed if sources else ():
+        if posixpath.normpath(f"sources/{name}") not in sources:
             yield f"SourceFiles lists {name}, which is not in sources/"
     compiled = [name for name in sources if name.lower().endswith(_COMPILED)]
     if compiled and not listed and "sources/buildDescription.xml" not in sources:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import ctypes
+import math
 from collections.abc import Callable, Iterator, Mapping
 from ctypes import byref, c_double, c_int
-from typing import Any
 
 from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
 from congelation.conformance.description import Variable
 from congelation.conformance.instance import Instance
 from congelation.conformance.probe import read, shifted
-from congelation.conformance.rule import Level, NotApplicable, dynamic
+from congelation.conformance.rule import NOT_RESTORED, Level, NotApplicable, dynamic
 from congelation.conformance.trajectory import demand, excite, inputs, observe, same
 
 __all__: list[str] = []
@@ -20,7 +19,10 @@ __all__: list[str] = []
 _Call = Callable[[Bench, Instance], Status]
 
 # fmi2StatusKind
-_DO_STEP, _PENDING, _LAST_TIME, _TERMINATED = range(4)
+_LAST_TIME, _TERMINATED = 2, 3
+
+# A step so many times as large as usual may be more than the FMU can do.
+_LARGE = 1000.0
 
 
 def _instantiated(bench: Bench) -> Instance:
@@ -197,35 +199,49 @@ def values_after_termination(bench: Bench) -> Iterator[str]:
             yield "the values read after fmi2Terminate are not those read before"
 
 
-@dynamic("FMI2-STATE-05", "4.2.3", Level.ROBUSTNESS)
+@dynamic("FMI2-STATE-05", "4.2.3", Level.VIOLATION)
 def status_inquiry(bench: Bench) -> Iterator[str]:
-    """A status that cannot be given is answered with fmi2Discard.
+    """After a step that was discarded, its last successful time is told, or fmi2Discard returned.
 
-    Standard: "If a status is required which cannot be retrieved by the slave it returns
-    fmi2Discard", but the inquiries are meant for fmi2Pending and fmi2Discard.
+    Standard: "Returns the end time of the last successfully completed communication step. Can be
+    called after fmi2DoStep(..) returned fmi2Discard."; "If a status is required which cannot be
+    retrieved by the slave it returns fmi2Discard."
 
-    Why: Fmi2Error would end the instance.
+    Why: A master repeats a discarded step up to that time.
 
-    Remedy: Return fmi2Discard for a status that there is not
+    Remedy: Return the time that was reached, or fmi2Discard
 
-    Example: fmi2Error.
+    Example: fmi2Error for fmi2GetRealStatus.
     """
-    kinds: dict[str, tuple[int, type[ctypes._SimpleCData[Any]]]] = {
-        "GetStatus": (_DO_STEP, c_int),
-        "GetIntegerStatus": (_PENDING, c_int),
-        "GetBooleanStatus": (_TERMINATED, c_int),
-        "GetRealStatus": (_LAST_TIME, c_double),
-        "GetStringStatus": (_PENDING, ctypes.c_char_p),
-    }
-    with bench.held() as instance:
-        bench.run(instance, last=1)
-        for name, (kind, holder) in kinds.items():
-            status = instance.call(name, kind, byref(holder()))
-            if status not in (Status.OK, Status.DISCARD):
-                yield f"fmi2{name} returned {status}"
+    discarded = False
+    for what, fail in _FAILURES.items():
+        instance = bench.fresh()
+        status = fail(bench, instance)
+        if status == Status.DISCARD:
+            discarded = True
+            time, ended = c_double(math.nan), c_int()
+            answers = {
+                "fmi2GetRealStatus": instance.call("GetRealStatus", _LAST_TIME, byref(time)),
+                "fmi2GetBooleanStatus": instance.call(
+                    "GetBooleanStatus", _TERMINATED, byref(ended)
+                ),
+            }
+            for name, answer in answers.items():
+                if answer not in (Status.OK, Status.DISCARD):
+                    yield f"{name} after {what} returned {answer}"
+            begin = bench.grid.time(2)
+            # The step began at communication point 2 and was not completed.
+            if answers["fmi2GetRealStatus"] == Status.OK and not (
+                begin - 1e-9 <= time.value < begin + _LARGE * bench.grid.step
+            ):
+                yield f"fmi2LastSuccessfulTime is {time.value!r} after {what} from {begin!r}"
+        if status != Status.FATAL:
+            instance.free()
+    if not discarded:
+        raise NotApplicable("no step was discarded")
 
 
-@dynamic("FMI2-RESET-01", "2.1.6", Level.VIOLATION)
+@dynamic("FMI2-RESET-01", "2.1.6", Level.VIOLATION, owns=(NOT_RESTORED,))
 def reset_is_new(bench: Bench) -> Iterator[str]:
     """After fmi2Reset an instance does what a new one does, to the last bit.
 
@@ -282,7 +298,8 @@ def _set_all_otherwise(bench: Bench, instance: Instance, variables: list[Variabl
 def reset_anywhere(bench: Bench) -> Iterator[str]:
     """fmi2Reset succeeds in every state and leads to "instantiated".
 
-    Standard: the table allows fmi2Reset in every state but stepInProgress and fatal
+    Standard: "x means: call is allowed in the corresponding state"; fmi2Reset has it in every state
+    but stepInProgress and fatal.
 
     Why: A host gives up a run at any point.
 
@@ -345,10 +362,16 @@ def _other_size(bench: Bench, instance: Instance) -> Status:
     return instance.step(bench.grid.time(2), 1.7 * bench.grid.step)
 
 
+def _large(bench: Bench, instance: Instance) -> Status:
+    bench.run(bench.initialize(instance), last=2)
+    return instance.step(bench.grid.time(2), _LARGE * bench.grid.step)
+
+
 # Steps that an FMU may discard or fail, although the calls are correct.
 _FAILURES: Mapping[str, _Call] = {
     "a step past stopTime": _past_stop,
     "a step of another size": _other_size,
+    "a large step": _large,
 }
 
 
