@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import json
 import platform
+import re
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
 from congelation.conformance.binding import Library, Tape
 from congelation.conformance.description import Description, Value, read_description
 from congelation.conformance.instance import Instance
-from congelation.conformance.rule import NotApplicable, Violated
+from congelation.conformance.rule import NotApplicable, NotEvaluated, Violated
 from congelation.conformance.trajectory import (
     Grid,
     Trajectory,
@@ -25,12 +27,51 @@ from congelation.conformance.trajectory import (
     simulate,
 )
 
-__all__ = ["Bench", "Job", "binary_path", "platform_folder"]
+__all__ = [
+    "Ability",
+    "Bench",
+    "Job",
+    "binary_path",
+    "from_text",
+    "platform_folder",
+    "to_text",
+]
 
 _EXTENSIONS = {"Linux": ".so", "Windows": ".dll", "Darwin": ".dylib"}
 _FOLDERS = {"Linux": "linux64", "Windows": "win64", "Darwin": "darwin64"}
 # Where nothing says how long a step is; short against the seconds in which models move.
 _DEFAULT_STEP = 1e-2
+# Messages of the FMU that go with a finding, and instances that are asked for them.
+_LAST = 5
+
+
+@dataclass(frozen=True)
+class Ability:
+    """What the survey found that an FMU can do; each failure is the finding of one rule.
+
+    Attributes
+    ----------
+    loads, runs : str
+        Why the library cannot be loaded or a plain run fails; "" if it does.
+    moves : bool
+        Whether a run with moving inputs succeeds. If not, all runs use the start values.
+    again : str
+        Why there is no second instance after the first in a process; "" if there is.
+    beside : str
+        Why there is no second instance next to the first; "" if there is.
+    repeats : bool
+        Whether a second run gives the same values as the first.
+    reference : str
+        File with the trajectory of a run, which rules compare theirs with; "" for none.
+    """
+
+    loads: str = ""
+    runs: str = ""
+    moves: bool = True
+    again: str = ""
+    beside: str = ""
+    repeats: bool = True
+    reference: str = ""
 
 
 @dataclass(frozen=True)
@@ -49,6 +90,8 @@ class Job:
         Another unzipped FMU, to be loaded in the same process.
     scratch : str
         A directory of the child's own, its working directory.
+    able : Ability
+        What the FMU can do, by the survey.
     """
 
     directory: str
@@ -57,6 +100,7 @@ class Job:
     rule: str = ""
     task: str = ""
     argument: str = ""
+    able: Ability = field(default_factory=lambda: Ability())
 
     @property
     def tape(self) -> Path:
@@ -97,8 +141,12 @@ class Bench:
     def __init__(self, job: Job) -> None:
         self.job = job
         self.directory = Path(job.directory)
-        self.description = read_description((self.directory / "modelDescription.xml").read_bytes())
+        description = read_description((self.directory / "modelDescription.xml").read_bytes())
+        self.description = description if job.able.moves else description.at_rest()
         self.notes: list[str] = []
+        self.made = 0
+        # The latest alone, for their messages; a check for leaks makes thousands.
+        self.instances: deque[Instance] = deque(maxlen=_LAST)
         self._tape = Tape(job.tape)
 
     @cached_property
@@ -125,7 +173,7 @@ class Bench:
         try:
             return Library(self.binary, self._tape)
         except OSError as error:
-            raise Violated(f"the shared library cannot be loaded: {error}") from error
+            raise Violated(f"the shared library cannot be loaded: {error}") from None
 
     def load(self) -> Library:
         """The shared library, in a handle of its own."""
@@ -142,8 +190,15 @@ class Bench:
 
     @property
     def alone_only(self) -> bool:
-        """Whether there may be no second instance in the process."""
-        return self.description.flag("canBeInstantiatedOnlyOncePerProcess")
+        """Whether there can be no second instance next to the first."""
+        one = self.description.flag("canBeInstantiatedOnlyOncePerProcess")
+        return one or bool(self.job.able.beside)
+
+    @contextmanager
+    def probing(self, what: str) -> Iterator[None]:
+        """Note that a call is made which no correct host would make."""
+        self.library.probe = what
+        yield
 
     @property
     def uri(self) -> str:
@@ -160,8 +215,16 @@ class Bench:
         memory: bool = True,
         library: Library | None = None,
     ) -> Instance:
-        """Call fmi2Instantiate, whatever comes of it."""
-        return Instance(
+        """Call fmi2Instantiate, whatever comes of it.
+
+        Raises
+        ------
+        NotEvaluated
+            The FMU is known to bear no second instance in a process.
+        """
+        if self.made and self.job.able.again and self.job.rule != "FMI2-INST-04":
+            raise NotEvaluated(self.job.able.again)
+        instance = Instance(
             library or self.library,
             name=name,
             guid=self.description.guid if guid is None else guid,
@@ -169,6 +232,19 @@ class Bench:
             logging=logging,
             memory=memory,
         )
+        self.made += 1
+        self.instances.append(instance)
+        return instance
+
+    def said(self) -> list[str]:
+        """The last messages that the instances logged, variables by name."""
+        names = {f"{v.base[:1].lower()}{v.reference}": v.name for v in self.description.variables}
+
+        def named(found: re.Match[str]) -> str:
+            return "#" if found[0] == "##" else names.get(found[1], found[0])
+
+        shown = [message.shown for instance in self.instances for message in instance.messages]
+        return [re.sub(r"##|#([ribs]\d+)#", named, text).strip() for text in shown[-_LAST:]]
 
     def fresh(
         self,
@@ -188,7 +264,7 @@ class Bench:
         """
         instance = self.attempt(name, uri=uri, logging=logging, memory=memory, library=library)
         if instance.component is None:
-            said = "; ".join(m.text or "" for m in instance.messages) or "and logged nothing"
+            said = "; ".join(m.shown for m in instance.messages) or "and logged nothing"
             raise Violated(f"fmi2Instantiate returned a null pointer: {said}")
         return instance
 
@@ -233,27 +309,10 @@ class Bench:
 
     @cached_property
     def reference(self) -> Trajectory:
-        """What a fresh instance does, left alone.
-
-        Raises
-        ------
-        NotApplicable
-            Not even that works, which is the finding of another rule.
-        """
-        try:
-            return self.alone()
-        except Violated as breach:
-            raise NotApplicable(f"a plain run fails already ({breach}); see FMI2-LIB-03") from None
-
-    def plain_run(self) -> None:
-        """Make sure that the FMU can be simulated at all.
-
-        Raises
-        ------
-        NotApplicable
-            It cannot, which is the finding of another rule.
-        """
-        _ = self.reference
+        """What a fresh instance does, left alone."""
+        if self.job.able.reference:
+            return from_text(Path(self.job.able.reference).read_text(encoding="utf-8"))
+        return self.alone()
 
     def alone(self, phase: float = 0.0) -> Trajectory:
         """Instantiate, initialize, simulate, terminate and free one instance."""
@@ -264,7 +323,15 @@ class Bench:
         return trajectory
 
     def compare(self, found: Trajectory, what: str) -> Iterator[str]:
-        """A line if a run differs from the reference."""
+        """A line if a run differs from the reference.
+
+        Raises
+        ------
+        NotEvaluated
+            The FMU does not even repeat itself.
+        """
+        if not self.job.able.repeats and self.job.rule != "FMI2-STEP-07":
+            raise NotEvaluated("two equal runs differ, see FMI2-STEP-07")
         difference = first_difference(found, self.reference.after(-len(found.rows)))
         if difference is not None:
             yield f"{what}: {difference}"
@@ -292,14 +359,42 @@ class Bench:
             scratch=str(scratch),
             task=task,
             argument=argument,
+            able=replace(self.job.able, again="", beside="", reference=""),
         )
         done = subprocess.run(
             [sys.executable, "-m", "congelation.conformance.child"],
             input=json.dumps(asdict(job)),
             text=True,
-            capture_output=True,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
             check=False,
         )
-        if done.returncode != 0 or not job.result.exists():
-            raise Violated(f"another process ended with {done.returncode}: {done.stderr[-400:]}")
-        return job.result.read_text(encoding="utf-8")
+        report = json.loads(job.result.read_text(encoding="utf-8")) if job.result.exists() else {}
+        if done.returncode != 0 or "text" not in report:
+            where = Tape.read(job.tape)
+            why = report.get("error") or f"it ended with {done.returncode} in {where or 'the task'}"
+            raise Violated(f"another process failed: {why}")
+        return str(report["text"])
+
+
+def to_text(trajectory: Trajectory) -> str:
+    """A trajectory as JSON that keeps every bit (floats in hexadecimal)."""
+
+    def cell(value: Value) -> object:
+        return {"hex": value.hex()} if isinstance(value, float) else value
+
+    rows = [[cell(value) for value in row] for row in trajectory.rows]
+    return json.dumps({"names": trajectory.names, "rows": rows})
+
+
+def from_text(text: str) -> Trajectory:
+    """The inverse of `to_text`."""
+
+    def value(cell: object) -> Value:
+        if isinstance(cell, dict):
+            return float.fromhex(cell["hex"])
+        return cell  # type: ignore[return-value]  # JSON gives back what to_text put in
+
+    data = json.loads(text)
+    rows = tuple(tuple(value(cell) for cell in row) for row in data["rows"])
+    return Trajectory(tuple(data["names"]), rows)

@@ -11,6 +11,9 @@ from __future__ import annotations
 import _ctypes  # the only door to dlclose
 import ctypes
 import mmap
+import os
+import platform
+import re
 from collections.abc import Callable, Sequence
 from ctypes import POINTER, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 from dataclasses import dataclass
@@ -28,6 +31,7 @@ __all__ = [
     "Logger",
     "Status",
     "Tape",
+    "filled",
     "pack",
     "unpack",
 ]
@@ -50,7 +54,79 @@ class Status(IntEnum):
 _component = c_void_p
 _references = POINTER(c_uint)
 _state = c_void_p
-Logger = ctypes.CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p)
+
+# The logger is variadic, which ctypes has not. By the calling convention of x86-64 (System V) the
+# arguments behind `message` are in the sixth integer register, in eight floating-point registers
+# and then on the stack; a function with these parameters sees them all, those that were not passed
+# holding anything. Elsewhere messages are shown with their format as it is.
+_VARIADIC = platform.machine() in ("x86_64", "AMD64") and platform.system() != "Windows"
+_REGISTERS, _STACK = 8, 8
+_MORE = (c_void_p, *(c_double,) * _REGISTERS, *(c_void_p,) * _STACK) if _VARIADIC else ()
+Logger = ctypes.CFUNCTYPE(None, c_void_p, c_char_p, c_int, c_char_p, c_char_p, *_MORE)
+_CONVERSION = re.compile(
+    r"%(?P<flags>[-+ #0]*)(?P<width>\*|\d*)(?P<precision>\.(?:\*|\d*))?"
+    r"(?:hh|h|ll|l|j|z|t|L)?(?P<kind>[diouxXeEfFgGaAcsp%])"
+)
+
+
+def filled(message: str, arguments: Sequence[Any]) -> str:
+    """A message of the logger with its arguments in place of the conversions of printf."""
+    if not arguments:
+        return message
+    numbers = list(arguments[1 : 1 + _REGISTERS])
+    words = [arguments[0], *arguments[1 + _REGISTERS :]]
+
+    def word() -> int:
+        return int(words.pop(0) or 0) if words else 0
+
+    def conversion(found: re.Match[str]) -> str:
+        kind, width, precision = found["kind"], found["width"], found["precision"] or ""
+        if kind == "%":
+            return "%"
+        width = str(ctypes.c_int(word()).value) if width == "*" else width
+        precision = f".{ctypes.c_int(word()).value}" if precision == ".*" else precision
+        value: Any
+        if kind in "eEfFgGaA":
+            value = (
+                numbers.pop(0)
+                if numbers
+                else ctypes.c_double.from_buffer_copy(word().to_bytes(8, "little")).value
+            )
+            kind = "g" if kind in "aA" else kind
+        elif kind == "s":
+            value = _string_at(word())
+        elif kind == "c":
+            value, kind = chr(word() & 0xFF), "s"
+        elif kind == "p":
+            value, kind = f"{word():#x}", "s"
+        else:
+            raw = word()
+            long = re.search(r"[ljzt]", found[0]) is not None
+            signed = kind in "di"
+            size = (
+                (ctypes.c_int64 if signed else ctypes.c_uint64)
+                if long
+                else (ctypes.c_int32 if signed else ctypes.c_uint32)
+            )
+            value, kind = size(raw).value, "d" if kind == "u" else kind
+        return str(f"%{found['flags']}{width}{precision}{kind}" % value)
+
+    return _CONVERSION.sub(conversion, message)
+
+
+def _string_at(address: int) -> str:
+    """The C string at an address, read so that a wrong address does no harm."""
+    text = b""
+    try:
+        with open("/proc/self/mem", "rb", buffering=0) as memory:
+            memory.seek(address)
+            while b"\0" not in text and len(text) < 2000:
+                more = memory.read(64 - address % 64)
+                text, address = text + more, address + len(more)
+    except (OSError, OverflowError, ValueError):
+        return text.decode(errors="replace") or "<no string>"
+    return text.partition(b"\0")[0].decode(errors="replace")
+
 
 _C_TYPES: dict[str, Any] = {
     "Real": c_double,
@@ -122,6 +198,10 @@ _TABLE = _functions()
 FUNCTIONS: tuple[str, ...] = tuple(_TABLE)
 
 
+# Bytes at the end of a tape that count what was written.
+_COUNTER = 8
+
+
 class Tape:
     """The name of the function being called, in a file that outlives the process.
 
@@ -131,32 +211,48 @@ class Tape:
         Created with `LENGTH` bytes.
     """
 
-    LENGTH = 64
+    LENGTH = 256
 
     def __init__(self, path: Path) -> None:
+        self._count = 0
         path.write_bytes(bytes(self.LENGTH))
         with path.open("r+b") as file:
             self._map = mmap.mmap(file.fileno(), self.LENGTH)
 
     def write(self, text: str) -> None:
         """Note what is about to happen; "" for nothing in particular."""
-        self._map[:] = text.encode()[: self.LENGTH].ljust(self.LENGTH, b"\0")
+        self._count += 1
+        room = self.LENGTH - _COUNTER
+        self._map[:room] = text.encode()[:room].ljust(room, b"\0")
+        self._map[room:] = self._count.to_bytes(_COUNTER, "little")
 
     @staticmethod
     def read(path: Path) -> str:
         """What a process wrote last, "" for nothing."""
-        return path.read_bytes().rstrip(b"\0").decode() if path.exists() else ""
+        return Tape.state(path).partition(b"\0")[0].decode(errors="replace")
+
+    @staticmethod
+    def state(path: Path) -> bytes:
+        """The whole file, which differs after each call; empty if there is none yet."""
+        return path.read_bytes() if path.exists() else b""
 
 
 @dataclass(frozen=True)
 class LogMessage:
-    """One call of the logger; None stands for a null pointer."""
+    """One call of the logger; None stands for a null pointer.
+
+    Attributes
+    ----------
+    text, shown : str
+        The message as it came, and with its arguments filled in.
+    """
 
     environment: int | None
     instance: str | None
     status: int
     category: str | None
     text: str | None
+    shown: str = ""
 
 
 class Library:
@@ -169,6 +265,12 @@ class Library:
     tape : Tape
         Where each call is noted.
 
+    Attributes
+    ----------
+    probe : str
+        What a rule does that no correct host would do; noted with each later call, so that a
+        crash is told apart from one in a correct sequence of calls.
+
     Raises
     ------
     OSError
@@ -178,8 +280,17 @@ class Library:
     def __init__(self, path: Path, tape: Tape) -> None:
         self.path = path
         self._tape = tape
+        self.probe = ""
         tape.write(f"dlopen({path.name})")
-        self._dll = ctypes.CDLL(str(path))
+        # ctypes resolves all symbols at once (RTLD_NOW); hosts usually do so at the first call, so
+        # that an FMU may leave the functions of libm to a host that has them.
+        process = ctypes.CDLL(None)
+        process.dlopen.restype, process.dlopen.argtypes = c_void_p, (c_char_p, c_int)
+        process.dlerror.restype = c_char_p
+        handle = process.dlopen(os.fsencode(path), os.RTLD_LAZY | os.RTLD_LOCAL)
+        if not handle:
+            raise OSError((process.dlerror() or b"no reason given").decode(errors="replace"))
+        self._dll = ctypes.CDLL(str(path), handle=handle)
         tape.write("")
         self._found: dict[str, Callable[..., Any]] = {}
 
@@ -194,7 +305,7 @@ class Library:
     def call(self, name: str, *arguments: Any) -> Any:
         """Call fmi2<name>; its name stands on the tape meanwhile."""
         function = self._function(name)
-        self._tape.write(f"fmi2{name}")
+        self._tape.write(f"fmi2{name}" + (f" ({self.probe})" if self.probe else ""))
         result = function(*arguments)
         self._tape.write("")
         return result

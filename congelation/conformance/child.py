@@ -1,4 +1,4 @@
-"""The process in which one dynamic rule looks at one FMU.
+"""The process in which one dynamic rule, or one task of another rule, looks at one FMU.
 
 Reads a `Job` as JSON from standard input and leaves the result in the job's scratch directory.
 Standard output and error belong to the FMU, which may print what it likes.
@@ -6,41 +6,123 @@ Standard output and error belong to the FMU, which may print what it likes.
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
+import signal
 import sys
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from congelation.conformance.bench import Bench, Job
-from congelation.conformance.rule import judge
-from congelation.conformance.rules import BY_ID
-from congelation.conformance.tasks import TASKS
+from congelation.conformance.bench import Ability, Bench, Job, to_text
+from congelation.conformance.rule import BY_ID, DynamicRule, NotApplicable, Violated, judge
+from congelation.conformance.rules import RULES
+from congelation.conformance.trajectory import demand, first_difference
 
 __all__ = ["main"]
+
+_PR_SET_PDEATHSIG = 1
 
 
 def main() -> None:
     """Do the job on standard input."""
-    job = Job(**json.load(sys.stdin))
+    if sys.platform == "linux":
+        # An FMU that hangs must not outlive the check, however that ends.
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    data = json.load(sys.stdin)
+    job = Job(**{**data, "able": Ability(**data["able"])})
     os.chdir(job.scratch)
     bench = Bench(job)
     if job.task:
-        _leave(job.result, TASKS[job.task](bench))
+        _leave(job.result, _done(bench))
         os._exit(0)
+    assert RULES  # importing the package registered them
     rule = BY_ID[job.rule]
-    outcome, lines = judge(rule, bench, prepare=None if rule.bare else bench.plain_run)
-    report = {"outcome": outcome.name, "lines": lines, "notes": bench.notes}
-    _leave(job.result, json.dumps(report))
+    assert isinstance(rule, DynamicRule)
+    try:
+        outcome, breaches, reason, cause = judge(rule, bench)
+    except Exception as error:  # a defect of the rule, which must not look like one of the FMU
+        reason = f"the check itself failed ({type(error).__name__}: {error}); please report it"
+        report: dict[str, object] = {"outcome": "NOT_EVALUATED", "reason": reason}
+    else:
+        report = {
+            "outcome": outcome.name,
+            "breaches": [[breach.what, breach.line, breach.file] for breach in breaches],
+            "reason": reason,
+            "cause": cause,
+            "notes": bench.notes,
+            "log": bench.said() if breaches else [],
+        }
+    _leave(job.result, report)
     if not rule.ends_normally:
         # How the process would end is the business of the rules that say so.
         sys.stdout.flush()
         os._exit(0)
 
 
-def _leave(path: Path, text: str) -> None:
+def _done(bench: Bench) -> dict[str, object]:
+    """What a task leaves: its text, or why it failed."""
+    try:
+        return {"text": TASKS[bench.job.task](bench)}
+    except (Violated, NotApplicable) as error:
+        return {"error": str(error), "log": bench.said()}
+
+
+def _load(bench: Bench) -> str:
+    """Load the library."""
+    return bench.library.path.name
+
+
+def _alone(bench: Bench) -> str:
+    """Run the FMU with nothing else in the process."""
+    return to_text(bench.alone())
+
+
+def _again(bench: Bench) -> str:
+    """Run one instance after another; where they differ, "" if nowhere."""
+    first = bench.alone()
+    return first_difference(bench.alone(), first) or ""
+
+
+def _beside(bench: Bench) -> str:
+    """Make two instances."""
+    for name in ("first", "second"):
+        bench.fresh(name)
+    return ""
+
+
+def _survey(bench: Bench) -> str:
+    """Do all that the survey asks for in one process: a run, another one, two instances."""
+    first = bench.alone()
+    difference = first_difference(bench.alone(), first)
+    _beside(bench)
+    return json.dumps({"run": to_text(first), "difference": difference})
+
+
+def _replay(bench: Bench) -> str:
+    """Continue from a serialized state; the argument is "point:hexadecimal bytes"."""
+    point, data = bench.job.argument.split(":")
+    instance = bench.fresh()
+    status, state = instance.deserialize(bytes.fromhex(data))
+    demand(status, "fmi2DeSerializeFMUstate in another process")
+    demand(instance.set_state(state), "fmi2SetFMUstate in another process")
+    return to_text(bench.run(instance, first=int(point)))
+
+
+TASKS: Mapping[str, Callable[[Bench], str]] = {
+    "load": _load,
+    "alone": _alone,
+    "again": _again,
+    "beside": _beside,
+    "replay": _replay,
+    "survey": _survey,
+}
+
+
+def _leave(path: Path, report: Mapping[str, object]) -> None:
     """Write a result so that a reader finds all of it or nothing."""
     part = path.with_suffix(".part")
-    part.write_text(text, encoding="utf-8")
+    part.write_text(json.dumps(report), encoding="utf-8")
     part.replace(path)
 
 

@@ -1,7 +1,8 @@
-"""The command `congelation check`."""
+"""The command `congelation check`, a thin layer over `congelation.conformance.runner.check`."""
 
 from __future__ import annotations
 
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -9,13 +10,35 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from congelation.conformance.report import print_report, to_json, to_junit
-from congelation.conformance.rule import DEFAULT_TIME_LIMIT, Finding, Outcome
+from congelation.conformance.report import to_json, to_junit, to_lines, to_table
+from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Level, Verdict
 from congelation.conformance.rules import RULES
-from congelation.conformance.runner import run, select
-from congelation.errors import InvalidInput
+from congelation.conformance.runner import check as run_check
+from congelation.conformance.runner import select
+from congelation.errors import InvalidInput, nearest
 
 __all__ = ["check"]
+
+_INTERRUPTED = 130
+
+
+class _FailOn(StrEnum):
+    """The values of --fail-on."""
+
+    VIOLATION = "violation"
+    WARNING = "warning"
+    ROBUSTNESS = "robustness"
+
+
+def _explain(name: str | None) -> None:
+    """Print the page of a rule and end."""
+    if name is None:
+        return
+    if name not in BY_ID:
+        message = f"no rule is named '{name}': {nearest(name, BY_ID)}"
+        raise typer.BadParameter(message, param_hint="--explain")
+    print(BY_ID[name].page())
+    raise typer.Exit
 
 
 def check(
@@ -24,6 +47,19 @@ def check(
     ],
     junit: Annotated[Path | None, typer.Option(help="Write JUnit XML to this file.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write JSON to this file.")] = None,
+    static: Annotated[
+        bool, typer.Option("--static", help="Look at the archive and its XML alone; seconds.")
+    ] = False,
+    fail_on: Annotated[
+        _FailOn, typer.Option(help="The least level of findings that make the exit code 1.")
+    ] = _FailOn.VIOLATION,
+    known: Annotated[
+        Path | None, typer.Option(help="TOML file of accepted findings (rule, fmu, reason).")
+    ] = None,
+    explain: Annotated[
+        str | None,
+        typer.Option(metavar="RULE", help="Explain a rule.", callback=_explain, is_eager=True),
+    ] = None,
     rule: Annotated[
         list[str] | None,
         typer.Option(help="Only this rule, or family of rules (FMI2-STATE); may be repeated."),
@@ -32,31 +68,50 @@ def check(
     time_limit: Annotated[
         float, typer.Option(min=0.1, help="Seconds that a rule may take.")
     ] = DEFAULT_TIME_LIMIT,
-    everything: Annotated[
-        bool, typer.Option("--all", help="Show rules that passed or do not apply, too.")
+    table: Annotated[
+        bool, typer.Option("--table", help="Show what became of every rule, too.")
     ] = False,
 ) -> None:
-    """Check FMUs against the rules of FMI 2.0 for co-simulation; exit code 1 on a violation."""
+    """Check FMUs against the rules of FMI 2.0; exit code 1 on a violation."""
+    level = Level(fail_on.value)
     try:
-        rules = select(rule) if rule else RULES
+        chosen = select(rule or ()) or RULES
+        for target in (junit, json):
+            if target is not None and not target.absolute().parent.is_dir():
+                raise InvalidInput(f"there is no folder for '{target}'")
+        console = Console(stderr=True)
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+            task = progress.add_task("checking", total=len(fmus) * len(chosen))
+
+            def advance(path: Path, verdict: Verdict) -> None:
+                text = f"{path.name} {verdict.rule.id}"
+                progress.update(task, advance=1, description=text)
+
+            report = run_check(
+                fmus,
+                rules=rule or (),
+                static=static,
+                known=known,
+                jobs=jobs,
+                time_limit=time_limit,
+                progress=advance,
+            )
     except InvalidInput as error:
-        raise typer.BadParameter(str(error), param_hint="--rule") from error
-    missing = [path for path in fmus if not path.is_file()]
-    if missing:
-        raise typer.BadParameter(f"there is no FMU at '{missing[0]}'", param_hint="FMUS")
-    console = Console()
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        task = progress.add_task("checking", total=len(fmus) * len(rules))
-
-        def advance(path: Path, finding: Finding) -> None:
-            colour = "red" if finding.outcome is Outcome.VIOLATION else "default"
-            text = f"[{colour}]{path.name} {finding.rule.id}"
-            progress.update(task, advance=1, description=text)
-
-        report = run(fmus, rules=rules, jobs=jobs, time_limit=time_limit, progress=advance)
-    print_report(report, console, everything=everything)
-    for target, text in ((junit, to_junit), (json, to_json)):
-        if target is not None:
-            target.write_text(text(report) + "\n", encoding="utf-8")
-    if report.violations:
+        raise typer.BadParameter(str(error), param_hint="check") from error
+    except KeyboardInterrupt:
+        raise typer.Exit(_INTERRUPTED) from None
+    for fmu in report.fmus:
+        if table:
+            Console().print(to_table(fmu))
+        for line in to_lines(fmu):
+            print(line)
+    for entry in report.unused:
+        typer.echo(f"{known}: nothing was found for {entry}; remove the entry", err=True)
+    if json is not None:
+        json.write_text(to_json(report) + "\n", encoding="utf-8")
+    if junit is not None:
+        junit.write_text(to_junit(report, level) + "\n", encoding="utf-8")
+    if report.failures(level):
         raise typer.Exit(1)
+    if not all(fmu.in_scope for fmu in report.fmus):
+        raise typer.Exit(2)

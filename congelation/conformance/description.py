@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 __all__ = [
     "BASE_TYPES",
@@ -64,6 +65,10 @@ class Variable:
         `initial` as written; the attribute `initial` holds the effective value.
     attributes : Mapping[str, str]
         The attributes of the ScalarVariable and those of its type element.
+    line : int or None
+        Where it stands in modelDescription.xml, if the parser knows.
+    still : bool
+        Whether test runs leave it at its start value, because the FMU bears no other.
     """
 
     index: int
@@ -74,6 +79,8 @@ class Variable:
     variability: str
     given_initial: str | None
     attributes: Mapping[str, str]
+    line: int | None = None
+    still: bool = False
 
     @property
     def initial(self) -> str:
@@ -124,6 +131,7 @@ class Unknown:
     index: int
     dependencies: tuple[int, ...] | None
     kinds: tuple[str, ...] | None
+    line: int | None = None
 
 
 @dataclass(frozen=True)
@@ -144,7 +152,7 @@ class Description:
     guid: str
     fmi_version: str
     naming: str
-    identifier: str | None
+    identifiers: Mapping[str, str]
     flags: Mapping[str, str]
     categories: tuple[str, ...]
     experiment: Experiment
@@ -153,6 +161,11 @@ class Description:
     derivatives: tuple[Unknown, ...]
     initial_unknowns: tuple[Unknown, ...]
     enumerations: Mapping[str, tuple[int, ...]]
+
+    @property
+    def identifier(self) -> str | None:
+        """modelIdentifier for co-simulation, None where the FMU is not for it."""
+        return self.identifiers.get("CoSimulation")
 
     def flag(self, name: str) -> bool:
         """A Boolean capability flag of the CoSimulation element; absent means false."""
@@ -167,6 +180,10 @@ class Description:
         """The variable of a ModelStructure index (from 1), None outside the list."""
         return self.variables[index - 1] if 1 <= index <= len(self.variables) else None
 
+    def at_rest(self) -> Description:
+        """The same, with all inputs kept at their start values in test runs."""
+        return replace(self, variables=tuple(replace(v, still=True) for v in self.variables))
+
     @cached_property
     def states(self) -> frozenset[int]:
         """Indices of the continuous-time states: what the listed Derivatives derive."""
@@ -179,8 +196,13 @@ class Description:
         return frozenset(found)
 
 
-def read_description(xml: bytes) -> Description:
+def read_description(xml: bytes, parse: Any = ElementTree.fromstring) -> Description:
     """Read a modelDescription.xml.
+
+    Parameters
+    ----------
+    parse : callable
+        Makes an element tree of it; that of lxml knows line numbers.
 
     Raises
     ------
@@ -188,8 +210,8 @@ def read_description(xml: bytes) -> Description:
         It is no XML, its root is another element, or a number in it is none.
     """
     try:
-        root = ElementTree.fromstring(xml)
-    except ElementTree.ParseError as error:
+        root = parse(xml)
+    except SyntaxError as error:  # the base of the parsers' errors
         raise Unreadable(f"modelDescription.xml is not well-formed: {error}") from error
     if root.tag != "fmiModelDescription":
         raise Unreadable(f"the root element is <{root.tag}>, not <fmiModelDescription>")
@@ -199,14 +221,18 @@ def read_description(xml: bytes) -> Description:
         raise Unreadable(f"modelDescription.xml has a number that is none: {error}") from error
 
 
-def _read(root: ElementTree.Element) -> Description:
+def _read(root: Any) -> Description:
     slave = root.find("CoSimulation")
     return Description(
         model_name=root.get("modelName", ""),
         guid=root.get("guid", ""),
         fmi_version=root.get("fmiVersion", ""),
         naming=root.get("variableNamingConvention", "flat"),
-        identifier=None if slave is None else slave.get("modelIdentifier"),
+        identifiers={
+            kind: element.get("modelIdentifier", "")
+            for kind in ("CoSimulation", "ModelExchange")
+            if (element := root.find(kind)) is not None
+        },
         flags={} if slave is None else dict(slave.attrib),
         categories=tuple(c.get("name", "") for c in root.iterfind("LogCategories/Category")),
         experiment=_experiment(root.find("DefaultExperiment")),
@@ -227,7 +253,7 @@ def _read(root: ElementTree.Element) -> Description:
     )
 
 
-def _experiment(element: ElementTree.Element | None) -> Experiment:
+def _experiment(element: Any) -> Experiment:
     def number(name: str) -> float | None:
         text = None if element is None else element.get(name)
         return None if text is None else float(text)
@@ -237,7 +263,7 @@ def _experiment(element: ElementTree.Element | None) -> Experiment:
     )
 
 
-def _variable(index: int, element: ElementTree.Element) -> Variable:
+def _variable(index: int, element: Any) -> Variable:
     kind = next((child for child in element if child.tag in _ELEMENTS), None)
     return Variable(
         index=index,
@@ -248,11 +274,12 @@ def _variable(index: int, element: ElementTree.Element) -> Variable:
         variability=element.get("variability", "continuous"),
         given_initial=element.get("initial"),
         attributes={**element.attrib, **({} if kind is None else kind.attrib)},
+        line=getattr(element, "sourceline", None),
     )
 
 
-def _unknowns(root: ElementTree.Element, name: str) -> tuple[Unknown, ...]:
-    def listed(element: ElementTree.Element, attribute: str) -> list[str] | None:
+def _unknowns(root: Any, name: str) -> tuple[Unknown, ...]:
+    def listed(element: Any, attribute: str) -> list[str] | None:
         text = element.get(attribute)
         return None if text is None else text.split()
 
@@ -265,6 +292,7 @@ def _unknowns(root: ElementTree.Element, name: str) -> tuple[Unknown, ...]:
                 index=int(element.get("index", "")),
                 dependencies=None if dependencies is None else tuple(map(int, dependencies)),
                 kinds=None if kinds is None else tuple(kinds),
+                line=getattr(element, "sourceline", None),
             )
         )
     return tuple(found)

@@ -1,16 +1,21 @@
 /* A minimal co-simulation host: loads the library of one FMU, runs it, prints its outputs.
  *
  *     host load LIBRARY ...
- *     host run LIBRARY GUID URI START STEP STEPS [REFERENCE...]
+ *     host run LIBRARY GUID URI START STEP STEPS FILE [REFERENCE...]
  *
- * Prints one line for each step, with the Real variables of the given references as hexadecimal
- * floating-point numbers. Exit code 0: all calls succeeded; 1: one did not; 2: not loaded. */
+ * Writes one line for each step to FILE, with the Real variables of the given references as
+ * hexadecimal floating-point numbers; standard output belongs to the FMU. Exit code 0: all calls succeeded; 1: one did not; 2: not loaded. */
 
 #include <dlfcn.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
+
+#ifdef __linux__
+#include <signal.h>
+#include <sys/prctl.h>
+#endif
 
 #include "fmi2FunctionTypes.h"
 
@@ -49,15 +54,15 @@ static void logger(fmi2ComponentEnvironment environment, fmi2String instance, fm
     }
 }
 
-static void run(char *words[], int count)
+static void run(char *words[], int count, FILE *results)
 {
     const double start = atof(words[2]), size = atof(words[3]);
-    const int steps = atoi(words[4]), outputs = count - 5;
+    const int steps = atoi(words[4]), outputs = count - 6;
     fmi2CallbackFunctions callbacks = {logger, calloc, free, NULL, NULL};
     fmi2ValueReference *references = calloc((size_t)outputs + 1, sizeof *references);
     double *values = calloc((size_t)outputs + 1, sizeof *values);
     for (int i = 0; i < outputs; ++i) {
-        references[i] = (fmi2ValueReference)strtoul(words[5 + i], NULL, 10);
+        references[i] = (fmi2ValueReference)strtoul(words[6 + i], NULL, 10);
     }
 
     fmi2InstantiateTYPE *instantiate = (fmi2InstantiateTYPE *)function("fmi2Instantiate");
@@ -84,9 +89,9 @@ static void run(char *words[], int count)
         require(step(c, start + k * size, size, fmi2True), "fmi2DoStep");
         require(get(c, references, (size_t)outputs, values), "fmi2GetReal");
         for (int i = 0; i < outputs; ++i) {
-            printf("%a ", values[i]);
+            fprintf(results, "%a ", values[i]);
         }
-        putchar('\n');
+        fputc('\n', results);
     }
     require(terminate(c), "fmi2Terminate");
     dispose(c);
@@ -96,17 +101,28 @@ static void run(char *words[], int count)
 
 int main(int count, char *words[])
 {
+#ifdef __linux__
+    prctl(PR_SET_PDEATHSIG, SIGKILL); /* A host must not outlive the check. */
+#endif
     if (count < 3) {
         fprintf(stderr, "usage: host load|run LIBRARY ...\n");
         return 2;
     }
-    library = dlopen(words[2], RTLD_NOW | RTLD_LOCAL);
+    /* Loaded alone, all symbols have to be there; running, those that are called. */
+    int binding = strcmp(words[1], "load") == 0 ? RTLD_NOW : RTLD_LAZY;
+    library = dlopen(words[2], binding | RTLD_LOCAL);
     if (library == NULL) {
         fprintf(stderr, "%s\n", dlerror());
         return 2;
     }
-    if (strcmp(words[1], "run") == 0 && count >= 8) {
-        run(words + 3, count - 3);
+    if (strcmp(words[1], "run") == 0 && count >= 9) {
+        FILE *results = fopen(words[8], "w");
+        if (results == NULL) {
+            perror(words[8]);
+            return 2;
+        }
+        run(words + 3, count - 3, results);
+        fclose(results);
     }
     dlclose(library);
     return 0;

@@ -12,7 +12,7 @@ from importlib.resources import as_file, files
 from pathlib import Path
 
 from congelation.conformance.bench import Bench
-from congelation.conformance.limits import is_pythonfmu
+from congelation.conformance.known import is_pythonfmu
 from congelation.conformance.rule import NotApplicable, Violated
 from congelation.conformance.trajectory import demand, same
 
@@ -41,7 +41,12 @@ def compile_host(folder: Path) -> Path:
         as_file(files("fmpy") / "c-code") as headers,
     ):
         subprocess.run(
-            [compiler, "-O1", f"-I{headers}", "-o", program, source, "-ldl", "-lm"], check=True
+            [
+                *(compiler, "-O1", f"-I{headers}", "-o", program, source),
+                # FMUs may leave the functions of libm to their host.
+                *("-Wl,--no-as-needed", "-ldl", "-lm"),
+            ],
+            check=True,
         )
     return program
 
@@ -74,11 +79,15 @@ def run_in_host(bench: Bench) -> Iterator[str]:
         v for v in bench.description.variables if v.causality == "output" and v.element == "Real"
     ]
     references = [v.reference for v in outputs]
-    done = _host(bench, "run", [str(bench.grid.steps), *(str(r) for r in references)])
+    results = Path(bench.job.scratch) / "rows"
+    more = [str(bench.grid.steps), str(results), *(str(r) for r in references)]
+    done = _host(bench, "run", more)
     if done.returncode != 0:
         said = done.stderr.strip()[-300:]
         raise Violated(f"the C host {ending(done.returncode)}: {said or 'no message'}")
-    rows = [[float.fromhex(word) for word in line.split()] for line in done.stdout.splitlines()]
+    rows = [
+        [float.fromhex(word) for word in line.split()] for line in results.read_text().splitlines()
+    ]
     for point, (row, expected) in enumerate(zip(rows, _rows(bench, references), strict=True)):
         for v, value, wanted in zip(outputs, row, expected, strict=True):
             if not same(value, wanted):
@@ -126,5 +135,11 @@ def _host(
         repr(grid.step),
     ]
     return subprocess.run(
-        [*words, *more], env=environment, capture_output=True, text=True, check=False
+        [*words, *more],
+        env=environment,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        errors="replace",
+        check=False,
     )

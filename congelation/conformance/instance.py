@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 from collections.abc import Iterable, Sequence
 from ctypes import byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 
@@ -12,14 +13,20 @@ from congelation.conformance.binding import (
     Logger,
     LogMessage,
     Status,
+    filled,
     pack,
     unpack,
 )
 from congelation.conformance.description import Value
+from congelation.conformance.rule import Violated
 
 __all__ = ["CO_SIMULATION", "ENVIRONMENT", "Instance"]
 
 CO_SIMULATION = 1
+
+# Values that only a mistake produces.
+_HUGE = 1e300
+_STATUSES = frozenset(status.value for status in Status)
 
 # Handed to the FMU as componentEnvironment and expected back in every log message.
 ENVIRONMENT = 0x5EED
@@ -80,17 +87,28 @@ class Instance:
         status: int,
         category: bytes | None,
         text: bytes | None,
+        *arguments: object,
     ) -> None:
         def shown(raw: bytes | None) -> str | None:
             return None if raw is None else raw.decode(errors="replace")
 
         self.messages.append(
-            LogMessage(environment, shown(instance), status, shown(category), shown(text))
+            LogMessage(
+                environment,
+                shown(instance),
+                status,
+                shown(category),
+                shown(text),
+                filled(shown(text) or "", arguments),
+            )
         )
 
     def call(self, name: str, *arguments: object) -> Status:
         """Call fmi2<name> on the component."""
-        return Status(self.library.call(name, self.component, *arguments))
+        value = self.library.call(name, self.component, *arguments)
+        if value not in _STATUSES:
+            raise Violated(f"fmi2{name} returned {value}, which is no fmi2Status")
+        return Status(value)
 
     def setup(
         self, start: float, stop: float | None = None, tolerance: float | None = None
@@ -112,6 +130,8 @@ class Instance:
 
     def step(self, time: float, size: float, *, final: bool = False) -> Status:
         """fmi2DoStep; `final` is noSetFMUStatePriorToCurrentPoint."""
+        if not 0.0 < size < math.inf:
+            self.library.probe = f"h = {size:g}"
         return self.call("DoStep", time, size, int(final))
 
     def terminate(self) -> Status:
@@ -137,6 +157,8 @@ class Instance:
 
     def set(self, base: str, references: Sequence[int], values: Sequence[Value]) -> Status:
         """fmi2Set<base>."""
+        if any(isinstance(v, float) and not abs(v) < _HUGE for v in values):
+            self.library.probe = f"a value of {values[0]!r}"
         return self.call(f"Set{base}", _vector(references), len(references), pack(base, values))
 
     def set_input_derivatives(

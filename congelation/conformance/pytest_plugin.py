@@ -1,12 +1,13 @@
 """pytest --fmu PATH: every rule of FMI 2.0 as a test case, for each FMU given.
 
-A violation fails; a rule that does not apply is skipped; a known limit of the FMU's wrapper is
-an expected failure. All cases carry the marker `fmu`.
+A violation fails, and a finding of another level if asked for; a rule that does not look is
+skipped; an accepted finding is an expected failure. All cases carry the marker `fmu`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,15 +15,14 @@ import pytest
 
 if TYPE_CHECKING:
     # Imported when an FMU is checked, because pytest loads plugins in every run.
-    from congelation.conformance.rule import Finding, Rule
-    from congelation.conformance.runner import Checker
+    from congelation.conformance.rule import Rule, Verdict
 
 __all__ = [
     "FmuFile",
     "RuleItem",
     "Violation",
     "pytest_addoption",
-    "pytest_collect_file",
+    "pytest_collection_modifyitems",
     "pytest_configure",
 ]
 
@@ -48,31 +48,45 @@ def pytest_addoption(parser: pytest.Parser) -> None:
         metavar="SECONDS",
         help="how long a rule may take (default: 60)",
     )
+    group.addoption(
+        "--fmu-fail-on",
+        choices=("violation", "warning", "robustness"),
+        default="violation",
+        help="the least level of findings that fail (default: violation)",
+    )
+    group.addoption(
+        "--fmu-known",
+        metavar="FILE",
+        help="TOML file of accepted findings, which are expected failures",
+    )
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Add the FMUs to what is collected."""
+    """Add the marker, and look whether the FMUs are there."""
     config.addinivalue_line("markers", "fmu: a rule of FMI 2.0, run against an FMU (--fmu)")
     for name in config.getoption("--fmu"):
-        path = Path(name)
-        if not path.is_file():
+        if not Path(name).exists():
             raise pytest.UsageError(f"--fmu: there is no FMU at '{name}'")
-        config.args.append(str(path.absolute()))
 
 
-def pytest_collect_file(file_path: Path, parent: pytest.Collector) -> FmuFile | None:
-    """Collect the FMUs that were asked for."""
-    wanted = {Path(name).absolute() for name in parent.config.getoption("--fmu")}
-    if file_path.absolute() not in wanted:
-        return None
-    collector: FmuFile = FmuFile.from_parent(parent, path=file_path)
-    return collector
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(
+    session: pytest.Session, config: pytest.Config, items: list[pytest.Item]
+) -> None:
+    """Add the cases of the FMUs, before -k and -m choose.
+
+    Not as arguments of pytest, which reads "[" and "::" in a path in its own way.
+    """
+    for name in config.getoption("--fmu"):
+        path = Path(os.path.abspath(name))
+        file: FmuFile = FmuFile.from_parent(session, path=path, nodeid=path.name)
+        items.extend(file.collect())
 
 
 class FmuFile(pytest.File):
     """One FMU; its children are the rules."""
 
-    _checker: Checker | None = None
+    _verdicts: Mapping[str, Verdict] | None = None
 
     def collect(self) -> Iterator[RuleItem]:
         """All rules."""
@@ -81,20 +95,17 @@ class FmuFile(pytest.File):
         for rule in RULES:
             yield RuleItem.from_parent(self, name=rule.id, rule=rule)
 
-    def teardown(self) -> None:
-        """Remove the unzipped FMU."""
-        if self._checker is not None:
-            self._checker.__exit__(None, None, None)
-            self._checker = None
+    def verdict(self, rule: Rule) -> Verdict:
+        """What became of a rule; all that were chosen are checked together, for the first."""
+        from congelation.conformance.runner import check
 
-    def check(self, rule: Rule) -> Finding:
-        """Check one rule; the FMU is unzipped for the first."""
-        from congelation.conformance.runner import Checker
-
-        if self._checker is None:
+        if self._verdicts is None:
+            chosen = [item.name for item in self.session.items if item.parent is self]
             limit = self.config.getoption("--fmu-time-limit")
-            self._checker = Checker(self.path, time_limit=limit)
-        return self._checker.check(rule)
+            known = self.config.getoption("--fmu-known")
+            (report,) = check([self.path], rules=chosen, time_limit=limit, known=known).fmus
+            self._verdicts = {verdict.rule.id: verdict for verdict in report.verdicts}
+        return self._verdicts[rule.id]
 
 
 class RuleItem(pytest.Item):
@@ -107,27 +118,29 @@ class RuleItem(pytest.Item):
 
     def runtest(self) -> None:
         """Check the rule."""
-        from congelation.conformance.rule import Outcome
+        from congelation.conformance.rule import Finding, Level, Outcome
 
         parent = self.parent
         if not isinstance(parent, FmuFile):
             raise TypeError(f"{self.name} belongs to {parent}, not to an FMU")
-        finding = parent.check(self.rule)
-        text = "; ".join(finding.lines)
-        if finding.outcome is Outcome.NOT_APPLICABLE:
-            pytest.skip(text)
-        if finding.outcome is Outcome.KNOWN_LIMIT:
-            pytest.xfail(f"{finding.limit}: {text}")
-        if finding.outcome is Outcome.VIOLATION:
-            raise Violation("\n".join(finding.lines))
+        verdict = parent.verdict(self.rule)
+        if verdict.outcome is Outcome.PASS:
+            return
+        if verdict.outcome is Outcome.KNOWN:
+            pytest.xfail(f"{verdict.breaches[0].what}: {verdict.reason}")
+        if verdict.outcome is not Outcome.FOUND:
+            pytest.skip(verdict.reason)
+        finding = Finding.of(str(self.path), verdict)
+        if self.rule.level.weight <= Level(self.config.getoption("--fmu-fail-on")).weight:
+            raise Violation("\n".join((str(finding), *finding.evidence)))
+        self.add_report_section("call", "finding", str(finding))
 
     def repr_failure(
         self, excinfo: pytest.ExceptionInfo[BaseException], style: object = None
     ) -> str:
         """The rule and its breaches, without a traceback of the checker."""
         if isinstance(excinfo.value, Violation):
-            head = f"{self.rule.id} (FMI 2.0.5, section {self.rule.section}): {self.rule.sentence}"
-            return f"{head}\n{excinfo.value}"
+            return f"{excinfo.value}\n\n{self.rule.page()}"
         return str(super().repr_failure(excinfo))
 
     def reportinfo(self) -> tuple[Path, None, str]:

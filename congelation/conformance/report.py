@@ -1,145 +1,174 @@
-"""A report as a table for people, as JSON, and as JUnit XML for a CI server."""
+"""A report as lines and a table for people, as JSON, and as JUnit XML for a CI server."""
 
 from __future__ import annotations
 
 import json
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterator
 
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from congelation.conformance.limits import LIMITS
-from congelation.conformance.rule import Finding, Outcome
+from congelation.conformance.rule import Finding, Level, Outcome, Verdict
 from congelation.conformance.runner import FmuReport, Report
 
-__all__ = ["print_report", "summary", "to_json", "to_junit", "to_table"]
+__all__ = ["to_json", "to_junit", "to_lines", "to_table"]
 
 _STYLES = {
     Outcome.PASS: "green",
-    Outcome.VIOLATION: "bold red",
+    Outcome.FOUND: "bold red",
+    Outcome.KNOWN: "yellow",
     Outcome.NOT_APPLICABLE: "dim",
-    Outcome.KNOWN_LIMIT: "yellow",
+    Outcome.NOT_EVALUATED: "dim",
 }
-_SENTENCES = {limit.id: limit.sentence for limit in LIMITS}
-# More breaches of one rule say nothing new to a reader; JSON and JUnit hold all of them.
-_SHOWN = 4
 
 
-def summary(fmu: FmuReport) -> str:
-    """The outcomes of one FMU, counted."""
-    return ", ".join(f"{fmu.count(outcome)} {outcome.value}" for outcome in Outcome)
+def to_lines(fmu: FmuReport) -> Iterator[str]:
+    """The scope, one line for each finding, one for all accepted ones, and the counts."""
+    yield f"{fmu.path}: {fmu.scope}"
+    if not fmu.in_scope:
+        return
+    for finding in sorted(fmu.findings, key=lambda f: f.level.weight):
+        if not finding.known:
+            yield str(finding)
+    known = [finding.rule for finding in fmu.findings if finding.known]
+    if known:
+        yield f"{fmu.path}: {len(known)} known, not counted: {', '.join(known)}"
+    reasons: dict[str, list[str]] = {}
+    for verdict in fmu.verdicts:
+        if verdict.outcome is Outcome.NOT_EVALUATED:
+            reasons.setdefault(verdict.reason, []).append(verdict.rule.id)
+    for reason, rules in reasons.items():
+        what = rules[0] if len(rules) == 1 else f"{len(rules)} rules"
+        yield f"{fmu.path}: {what} not evaluated: {reason}"
+    yield f"{fmu.path}: {_counted(fmu)}"
 
 
-def _told(finding: Finding) -> str:
-    """What a table says of a finding, below the rule's sentence."""
-    lines = list(finding.lines[:_SHOWN])
-    if len(finding.lines) > _SHOWN:
-        lines.append(f"... and {len(finding.lines) - _SHOWN} more")
-    if finding.limit:
-        lines.append(f"{finding.limit}: {_SENTENCES[finding.limit]}")
-    lines.extend(f"note: {note}" for note in finding.notes)
-    return "\n".join(lines)
+def _counted(fmu: FmuReport) -> str:
+    counts = [
+        f"{sum(f.level is level and not f.known for f in fmu.findings)} {level.value}"
+        for level in Level
+    ]
+    rest = (Outcome.PASS, Outcome.KNOWN, Outcome.NOT_APPLICABLE, Outcome.NOT_EVALUATED)
+    return ", ".join((*counts, *(f"{fmu.count(outcome)} {outcome.value}" for outcome in rest)))
 
 
-def to_table(fmu: FmuReport, *, everything: bool = False) -> Table:
-    """One FMU's findings; without `everything`, those that passed or do not apply are left out."""
+def _told(verdict: Verdict) -> list[str]:
+    """What there is to say of a verdict, line by line."""
+    lines = [breach.what for breach in verdict.breaches]
+    lines += [verdict.reason] if verdict.reason else []
+    return [*lines, *(f"note: {n}" for n in verdict.notes), *(f"log: {m}" for m in verdict.log)]
+
+
+def to_table(fmu: FmuReport) -> Table:
+    """What became of every rule, with all breaches, notes and reasons."""
     table = Table(title=str(fmu.path), title_justify="left", show_lines=True)
-    for column in ("rule", "section", "outcome", "finding"):
+    for column in ("rule", "section", "level", "outcome", "finding"):
         table.add_column(column, no_wrap=column == "rule")
-    quiet = (Outcome.PASS, Outcome.NOT_APPLICABLE)
-    for finding in fmu.findings:
-        if finding.outcome in quiet and not everything:
-            continue
-        told = _told(finding)
+    for verdict in fmu.verdicts:
+        told = "\n".join(_told(verdict))
         table.add_row(
-            finding.rule.id,
-            finding.rule.section,
-            Text(finding.outcome.value, style=_STYLES[finding.outcome]),
-            escape(finding.rule.sentence) + (f"\n[dim]{escape(told)}[/dim]" if told else ""),
+            verdict.rule.id,
+            verdict.rule.section,
+            verdict.rule.level.value,
+            Text(verdict.outcome.value, style=_STYLES[verdict.outcome]),
+            escape(verdict.rule.sentence) + (f"\n[dim]{escape(told)}[/dim]" if told else ""),
         )
     return table
 
 
-def print_report(report: Report, console: Console, *, everything: bool = False) -> None:
-    """Print a table for each FMU, as far as there is something to show, and its outcomes."""
-    for fmu in report.fmus:
-        table = to_table(fmu, everything=everything)
-        if table.row_count:
-            console.print(table)
-        console.print(Text(f"{fmu.path.name}: {summary(fmu)}"), soft_wrap=True)
+def _finding(finding: Finding, verdict: Verdict) -> dict[str, object]:
+    return {
+        "rule": finding.rule,
+        "level": finding.level.value,
+        "file": finding.file,
+        "line": finding.line,
+        "what": finding.what,
+        "remedy": finding.remedy,
+        "evidence": list(finding.evidence),
+        "known": finding.known,
+        "section": verdict.rule.section,
+        "standard": verdict.rule.quote,
+    }
 
 
 def to_json(report: Report) -> str:
-    """The report as JSON: one object for each FMU, one for each finding in it."""
-    fmus = [
-        {
-            "fmu": str(fmu.path),
-            "counts": {outcome.value: fmu.count(outcome) for outcome in Outcome},
-            "findings": [
-                {
-                    "rule": finding.rule.id,
-                    "section": finding.rule.section,
-                    "sentence": finding.rule.sentence,
-                    "kind": finding.rule.kind.value,
-                    "outcome": finding.outcome.value,
-                    "lines": list(finding.lines),
-                    "notes": list(finding.notes),
-                    "limit": finding.limit,
-                    "seconds": round(finding.seconds, 3),
-                }
-                for finding in fmu.findings
-            ],
-        }
-        for fmu in report.fmus
-    ]
-    return json.dumps({"violations": report.violations, "fmus": fmus}, indent=2)
+    """The report as JSON: for each FMU its scope, its findings, and what became of each rule."""
+    fmus = []
+    for fmu in report.fmus:
+        broken = [v for v in fmu.verdicts if v.outcome in (Outcome.FOUND, Outcome.KNOWN)]
+        fmus.append(
+            {
+                "fmu": str(fmu.path),
+                "scope": fmu.scope,
+                "counts": {outcome.value: fmu.count(outcome) for outcome in Outcome},
+                "findings": [_finding(f, v) for f, v in zip(fmu.findings, broken, strict=True)],
+                "rules": [
+                    {
+                        "rule": verdict.rule.id,
+                        "kind": verdict.rule.kind,
+                        "outcome": verdict.outcome.value,
+                        "reason": verdict.reason,
+                        "notes": list(verdict.notes),
+                        "seconds": round(verdict.seconds, 3),
+                    }
+                    for verdict in fmu.verdicts
+                ],
+            }
+        )
+    counts = {
+        level.value: sum(f.level is level and not f.known for f in report.findings)
+        for level in Level
+    }
+    return json.dumps({"counts": counts, "fmus": fmus}, indent=2)
 
 
-def to_junit(report: Report) -> str:
+def to_junit(report: Report, fail_on: Level = Level.VIOLATION) -> str:
     """The report as JUnit XML: one suite for each FMU, one case for each rule.
 
-    A violation is a failure; a rule that does not apply, and a known limit, are skipped.
+    A finding of the level `fail_on` or a graver one is a failure; one of another level is told in
+    the output of its case. Accepted findings and rules that did not look are skipped.
     """
     root = ElementTree.Element("testsuites", name="congelation check")
     for fmu in report.fmus:
-        skipped = fmu.count(Outcome.NOT_APPLICABLE) + fmu.count(Outcome.KNOWN_LIMIT)
-        suite = ElementTree.SubElement(
-            root,
-            "testsuite",
-            name=fmu.path.name,
-            tests=str(len(fmu.findings)),
-            failures=str(fmu.count(Outcome.VIOLATION)),
-            errors="0",
-            skipped=str(skipped),
-            time=f"{sum(finding.seconds for finding in fmu.findings):.3f}",
-        )
-        for finding in fmu.findings:
-            _case(suite, fmu, finding)
+        suite = ElementTree.SubElement(root, "testsuite", name=fmu.path.name)
+        failures = skipped = 0
+        for verdict in fmu.verdicts:
+            case = ElementTree.SubElement(
+                suite,
+                "testcase",
+                classname=fmu.path.stem,
+                name=f"{verdict.rule.id}: {verdict.rule.sentence}",
+                time=f"{verdict.seconds:.3f}",
+            )
+            text = _printable("\n".join((*_told(verdict), verdict.rule.page())))
+            if verdict.outcome is Outcome.PASS:
+                continue
+            if verdict.outcome is not Outcome.FOUND:
+                skipped += 1
+                reason = _printable(f"{verdict.outcome.value}: {verdict.reason}")
+                ElementTree.SubElement(case, "skipped", message=reason).text = text
+            elif verdict.rule.level.weight <= fail_on.weight:
+                failures += 1
+                message = _printable(str(Finding.of(str(fmu.path), verdict)))
+                kind = verdict.rule.level.value
+                ElementTree.SubElement(case, "failure", message=message, type=kind).text = text
+            else:
+                ElementTree.SubElement(case, "system-out").text = text
+        counts = {"tests": len(fmu.verdicts), "failures": failures, "errors": 0, "skipped": skipped}
+        for name, count in counts.items():
+            suite.set(name, str(count))
+        suite.set("time", f"{sum(verdict.seconds for verdict in fmu.verdicts):.3f}")
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
 
 
-def _case(suite: ElementTree.Element, fmu: FmuReport, finding: Finding) -> None:
-    case = ElementTree.SubElement(
-        suite,
-        "testcase",
-        classname=fmu.path.stem,
-        name=f"{finding.rule.id}: {finding.rule.sentence}",
-        time=f"{finding.seconds:.3f}",
-    )
-    text = _printable("\n".join((*finding.lines, f"FMI 2.0.5, section {finding.rule.section}")))
-    if finding.outcome is Outcome.VIOLATION:
-        message = _printable(finding.lines[0])
-        ElementTree.SubElement(case, "failure", message=message, type="violation").text = text
-    elif finding.outcome is Outcome.NOT_APPLICABLE:
-        ElementTree.SubElement(case, "skipped", message=_printable(finding.lines[0]))
-    elif finding.outcome is Outcome.KNOWN_LIMIT:
-        message = f"known limit {finding.limit}: {_SENTENCES[finding.limit]}"
-        ElementTree.SubElement(case, "skipped", message=message).text = text
-
-
 def _printable(text: str) -> str:
-    """Without the control characters that XML cannot hold."""
-    return "".join(c if c in "\t\n" or ord(c) >= 32 else "\N{REPLACEMENT CHARACTER}" for c in text)
+    """Without the characters that XML cannot hold."""
+    return "".join(
+        c
+        if c in "\t\n" or 32 <= ord(c) < 0xD800 or 0xE000 <= ord(c) < 0xFFFE or ord(c) > 0xFFFF
+        else "\N{REPLACEMENT CHARACTER}"
+        for c in text
+    )

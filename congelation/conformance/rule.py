@@ -1,19 +1,39 @@
-"""A rule: what it demands, where the standard says so, and the function that looks."""
+"""A rule: what it demands, on which sentence of the standard it rests, and the function that looks.
+
+A rule is registered by its decorator, `static` or `dynamic`, and nowhere else. Its page
+(``congelation check --explain RULE``) is the docstring of its function: the demand in one sentence,
+then the paragraphs "Standard:" (a quotation, or "nothing" and what a host needs instead), "Why:",
+"Remedy:" and "Example:".
+"""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
-from typing import Any
+from typing import TYPE_CHECKING, ClassVar, Self
+
+if TYPE_CHECKING:
+    from congelation.conformance.bench import Bench
+    from congelation.conformance.subject import Subject
 
 __all__ = [
+    "BY_ID",
+    "CO_SIMULATION",
     "DEFAULT_TIME_LIMIT",
+    "MODEL_EXCHANGE",
+    "NOT_RESTORED",
+    "Breach",
+    "DynamicRule",
     "Finding",
-    "Kind",
+    "Level",
     "NotApplicable",
+    "NotEvaluated",
     "Outcome",
     "Rule",
+    "StaticRule",
+    "Verdict",
     "Violated",
     "dynamic",
     "judge",
@@ -23,25 +43,38 @@ __all__ = [
 # A rule takes well under a second on a small FMU; the limit only has to tell slow from hung.
 DEFAULT_TIME_LIMIT = 60.0
 
+CO_SIMULATION, MODEL_EXCHANGE = "co-simulation", "model exchange"
 
-class Kind(Enum):
-    """How a rule looks: at the archive and its XML, or at the running binary."""
 
-    STATIC = "static"
-    DYNAMIC = "dynamic"
+class Level(Enum):
+    """How much a finding weighs; the value is the word shown to people."""
+
+    VIOLATION = "violation"  # the standard demands it
+    WARNING = "warning"  # the standard recommends it ("should")
+    ROBUSTNESS = "robustness"  # the standard is silent; a host needs it
+
+    @property
+    def weight(self) -> int:
+        """0 for the gravest."""
+        return list(Level).index(self)
 
 
 class Outcome(Enum):
-    """What a rule found; the value is the word shown to people."""
+    """What became of one rule for one FMU; the value is the word shown to people."""
 
     PASS = "pass"
-    VIOLATION = "violation"
+    FOUND = "found"
+    KNOWN = "known"
     NOT_APPLICABLE = "not applicable"
-    KNOWN_LIMIT = "known limit"
+    NOT_EVALUATED = "not evaluated"
 
 
 class NotApplicable(Exception):
     """The rule has nothing to look at in this FMU; the text says why."""
+
+
+class NotEvaluated(Exception):
+    """Another finding keeps the rule from looking; the text says which."""
 
 
 class Violated(Exception):
@@ -49,109 +82,284 @@ class Violated(Exception):
 
 
 @dataclass(frozen=True)
+class Breach:
+    """One place where a rule is broken.
+
+    Attributes
+    ----------
+    file : str
+        Path inside the FMU, "" for the FMU as a whole.
+    line : int or None
+        Line of that file.
+    """
+
+    what: str
+    line: int | None = None
+    file: str = ""
+
+
+@dataclass(frozen=True)
 class Rule:
-    """One demand of the standard.
+    """One demand.
 
     Attributes
     ----------
     id : str
         Stable name, such as "FMI2-STATE-03".
     section : str
-        Section of FMI 2.0.5 that makes the demand.
+        Section of FMI 2.0.5.
+    level : Level
+        What a finding is.
     sentence : str
         The demand in one sentence.
-    kind : Kind
-        Static rules get a `Subject`, dynamic ones a `Bench`, in a process of their own.
-    look : callable
-        Yields one line for each breach; may raise `NotApplicable` or `Violated`.
-    patience : float
-        Factor on the time limit, for rules that repeat something many times.
-    ends_normally : bool
-        Whether the way in which the process ends is part of what is judged.
-    bare : bool
-        Whether a dynamic rule is to look even if a plain run of the FMU fails.
+    quote, why, remedy, example : str
+        The paragraphs of the rule's page.
+    interfaces : frozenset of str
+        The kinds of FMU (`CO_SIMULATION`, `MODEL_EXCHANGE`) that the rule is for.
     """
 
     id: str
     section: str
+    level: Level
     sentence: str
-    kind: Kind
-    look: Callable[[Any], Iterable[str]]
-    patience: float = 1.0
-    ends_normally: bool = False
-    bare: bool = False
+    quote: str
+    why: str
+    remedy: str
+    example: str
+    interfaces: frozenset[str]
+
+    kind: ClassVar[str]
+
+    def page(self) -> str:
+        """What ``--explain`` prints."""
+        parts = (
+            f"{self.id} ({self.level.value}, {self.kind} rule, FMI 2.0.5 section {self.section})",
+            self.sentence,
+            f"Standard: {self.quote}",
+            f"Why: {self.why}",
+            f"Remedy: {self.remedy[0].upper()}{self.remedy[1:]}",
+            f"Example: {self.example}",
+        )
+        return "\n\n".join(parts)
 
 
 @dataclass(frozen=True)
-class Finding:
-    """What one rule found in one FMU.
+class StaticRule(Rule):
+    """A rule that looks at the archive and its XML; nothing of the FMU is executed."""
+
+    look: Callable[[Subject], Iterable[str | Breach]]
+    kind = "static"
+
+
+@dataclass(frozen=True)
+class DynamicRule(Rule):
+    """A rule that calls the FMU's functions, in a process of its own.
 
     Attributes
     ----------
-    lines : tuple of str
-        Breaches, or the reason why the rule does not apply.
-    notes : tuple of str
-        Things worth knowing that are no breach.
-    limit : str
-        Id of the known limit that explains the breach, "" for none.
+    time_factor : float
+        Factor on the time limit, for rules that repeat something many times.
+    ends_normally : bool
+        Whether the way in which the process ends is part of what is judged.
+    needs : str
+        What has to work before the rule can look: "run" (a plain run), "library" (loading), "".
+    owns : str
+        Calls and abilities whose failure is this rule's finding, wherever it is met.
     """
 
-    rule: Rule
-    outcome: Outcome
-    lines: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    seconds: float = 0.0
-    limit: str = ""
+    look: Callable[[Bench], Iterable[str | Breach]]
+    time_factor: float = 1.0
+    ends_normally: bool = False
+    needs: str = "run"
+    owns: frozenset[str] = field(default_factory=frozenset)
+    kind = "dynamic"
 
 
-def static(name: str, section: str) -> Callable[[Callable[[Any], Iterable[str]]], Rule]:
-    """Make a static rule of a function whose docstring is the rule's sentence."""
-    return lambda look: Rule(name, section, _sentence(look), Kind.STATIC, look)
+# The cause of whatever differs after fmi2Reset.
+NOT_RESTORED = "fmi2Reset does not restore all"
+
+BY_ID: dict[str, Rule] = {}
+
+
+def _page(look: Callable[..., object]) -> dict[str, str]:
+    """The paragraphs of a rule's docstring."""
+    paragraphs = [" ".join(part.split()) for part in (look.__doc__ or "").split("\n\n")]
+    found = {"sentence": paragraphs[0]}
+    for paragraph in paragraphs[1:]:
+        label, _, text = paragraph.partition(": ")
+        found[{"Standard": "quote"}.get(label, label.lower())] = text
+    return found
+
+
+def static(
+    name: str,
+    section: str,
+    level: Level,
+    *,
+    interfaces: Iterable[str] = (CO_SIMULATION, MODEL_EXCHANGE),
+) -> Callable[[Callable[[Subject], Iterable[str | Breach]]], StaticRule]:
+    """Register a function as a static rule; its docstring is the rule's page."""
+
+    def register(look: Callable[[Subject], Iterable[str | Breach]]) -> StaticRule:
+        kinds = frozenset(interfaces)
+        rule = StaticRule(name, section, level, interfaces=kinds, look=look, **_page(look))
+        BY_ID[name] = rule
+        return rule
+
+    return register
 
 
 def dynamic(
     name: str,
     section: str,
+    level: Level,
     *,
-    patience: float = 1.0,
+    time_factor: float = 1.0,
     ends_normally: bool = False,
-    bare: bool = False,
-) -> Callable[[Callable[[Any], Iterable[str]]], Rule]:
-    """Make a dynamic rule of a function whose docstring is the rule's sentence."""
-    return lambda look: Rule(
-        name, section, _sentence(look), Kind.DYNAMIC, look, patience, ends_normally, bare
-    )
+    needs: str = "run",
+    owns: Iterable[str] = (),
+) -> Callable[[Callable[[Bench], Iterable[str | Breach]]], DynamicRule]:
+    """Register a function as a dynamic rule for co-simulation; its docstring is the rule's page."""
+
+    def register(look: Callable[[Bench], Iterable[str | Breach]]) -> DynamicRule:
+        rule = DynamicRule(
+            name,
+            section,
+            level,
+            interfaces=frozenset({CO_SIMULATION}),
+            look=look,
+            time_factor=time_factor,
+            ends_normally=ends_normally,
+            needs=needs,
+            owns=frozenset(owns),
+            **_page(look),
+        )
+        BY_ID[name] = rule
+        return rule
+
+    return register
 
 
-def _sentence(look: Callable[[Any], Iterable[str]]) -> str:
-    return " ".join((look.__doc__ or "").split())
+@dataclass(frozen=True)
+class Verdict:
+    """What became of one rule for one FMU.
+
+    Attributes
+    ----------
+    breaches : tuple of Breach
+        Where the rule is broken.
+    reason : str
+        Why the rule does not apply or was not evaluated, or why its finding is accepted.
+    notes : tuple of str
+        Things worth knowing that are no breach.
+    log : tuple of str
+        The last messages that the FMU logged or printed.
+    cause : str
+        What failed, where several rules may meet the same failure.
+    """
+
+    rule: Rule
+    outcome: Outcome
+    breaches: tuple[Breach, ...] = ()
+    reason: str = ""
+    notes: tuple[str, ...] = ()
+    log: tuple[str, ...] = ()
+    cause: str = ""
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One broken rule in one FMU, as it is told to people.
+
+    Attributes
+    ----------
+    fmu : str
+        The FMU, as given.
+    file : str
+        The file inside the FMU, "" for the FMU as a whole.
+    line : int or None
+        Line of that file, where known.
+    what : str
+        The breach; of several the first, and how many more there are.
+    evidence : tuple of str
+        All breaches, and the last messages of the FMU.
+    known : str
+        Why the finding is accepted, "" where it is not.
+    """
+
+    rule: str
+    level: Level
+    fmu: str
+    file: str
+    line: int | None
+    what: str
+    remedy: str
+    evidence: tuple[str, ...] = ()
+    known: str = ""
+
+    @classmethod
+    def of(cls, fmu: str, verdict: Verdict) -> Self:
+        """The finding of a verdict whose rule is broken."""
+        first, more = verdict.breaches[0], len(verdict.breaches) - 1
+        return cls(
+            rule=verdict.rule.id,
+            level=verdict.rule.level,
+            fmu=fmu,
+            file=first.file,
+            line=first.line,
+            what=first.what + (f" (and {more} more)" if more else ""),
+            remedy=verdict.rule.remedy,
+            evidence=(
+                *(breach.what for breach in verdict.breaches),
+                *(f"the FMU's log: {line}" for line in verdict.log),
+            ),
+            known=verdict.reason if verdict.outcome is Outcome.KNOWN else "",
+        )
+
+    def __str__(self) -> str:
+        place = "/".join(filter(None, (self.fmu, self.file)))
+        place += f":{self.line}" if self.line else ""
+        what = re.sub(r"\s+", " ", self.what).rstrip(".")
+        return f"{place}: {self.rule} {self.level.value}: {what} - {self.remedy}"
+
+
+def _cause(what: str) -> str:
+    """What failed, if the text of a breach tells that other rules may meet the same; else ""."""
+    if re.match(r"fmi2\w+\b.* returned ", what):
+        return what
+    return NOT_RESTORED if re.match(r"after .*\bfmi2Reset\b.*: ", what) else ""
 
 
 def judge(
-    rule: Rule, subject: object, prepare: Callable[[], object] | None = None
-) -> tuple[Outcome, tuple[str, ...]]:
+    rule: StaticRule | DynamicRule, subject: Subject | Bench
+) -> tuple[Outcome, tuple[Breach, ...], str, str]:
     """Let a rule look at its subject, in this process.
-
-    Parameters
-    ----------
-    prepare : callable, optional
-        Called first; may raise `NotApplicable`.
 
     Returns
     -------
     outcome : Outcome
-        PASS, VIOLATION or NOT_APPLICABLE.
-    lines : tuple of str
-        The breaches, or the reason why the rule does not apply.
+        PASS, FOUND, NOT_APPLICABLE or NOT_EVALUATED.
+    breaches : tuple of Breach
+        Where the rule is broken.
+    reason : str
+        Why the rule does not apply or was not evaluated.
+    cause : str
+        The call that failed and its status, where that is the finding.
     """
-    lines: list[str] = []
+    breaches: list[Breach] = []
+    cause = ""
     try:
-        if prepare is not None:
-            prepare()
-        lines.extend(rule.look(subject))
-    except NotApplicable as reason:
-        if not lines:
-            return Outcome.NOT_APPLICABLE, (str(reason),)
+        for found in rule.look(subject):  # type: ignore[arg-type]  # each kind gets its own subject
+            breaches.append(found if isinstance(found, Breach) else Breach(found))
+    except (NotApplicable, NotEvaluated) as reason:
+        if not breaches:
+            not_applicable = isinstance(reason, NotApplicable)
+            outcome = Outcome.NOT_APPLICABLE if not_applicable else Outcome.NOT_EVALUATED
+            return outcome, (), str(reason), ""
     except Violated as breach:
-        lines.append(str(breach))
-    return (Outcome.VIOLATION if lines else Outcome.PASS), tuple(lines)
+        breaches.append(Breach(str(breach)))
+    causes = {_cause(breach.what) for breach in breaches}
+    if len(causes) == 1:
+        (cause,) = causes
+    return (Outcome.FOUND if breaches else Outcome.PASS), tuple(breaches), "", cause

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from lxml import etree
@@ -18,7 +19,7 @@ DESCRIPTION = "modelDescription.xml"
 
 @dataclass(frozen=True)
 class Subject:
-    """The archive and, as far as they can be had, its contents.
+    """The archive or the unpacked FMU and, as far as they can be had, its contents.
 
     Attributes
     ----------
@@ -38,11 +39,31 @@ class Subject:
     xml: bytes | None
 
     @property
+    def unpacked(self) -> bool:
+        """Whether the FMU is a directory."""
+        return self.path.is_dir()
+
+    @cached_property
     def names(self) -> tuple[str, ...]:
-        """Names of the entries, as stored."""
+        """Names of the entries, as stored; of a directory, its files."""
+        if self.unpacked:
+            files = (path for path in sorted(self.path.rglob("*")) if path.is_file())
+            return tuple(path.relative_to(self.path).as_posix() for path in files)
         return tuple(entry.orig_filename for entry in self.entries)
 
-    @property
+    def archive(self) -> tuple[zipfile.ZipInfo, ...]:
+        """The entries, for rules about the archive.
+
+        Raises
+        ------
+        NotApplicable
+            The FMU is a directory.
+        """
+        if self.unpacked:
+            raise NotApplicable("an unpacked FMU has no archive")
+        return self.entries
+
+    @cached_property
     def description(self) -> Description:
         """What modelDescription.xml says.
 
@@ -52,11 +73,11 @@ class Subject:
             It cannot be read, which is the finding of another rule.
         """
         try:
-            return read_description(self._xml())
+            return read_description(self._xml(), etree.fromstring)
         except Unreadable as error:
             raise NotApplicable(f"{error}; see FMI2-XML-01 and FMI2-XML-02") from error
 
-    @property
+    @cached_property
     def root(self) -> etree._Element:
         """The root element, for what `Description` leaves out."""
         try:
@@ -66,6 +87,8 @@ class Subject:
 
     def read(self, name: str) -> bytes:
         """The content of an entry."""
+        if self.unpacked:
+            return (self.path / name).read_bytes()
         with zipfile.ZipFile(self.path) as archive:
             return archive.read(name)
 
@@ -77,6 +100,9 @@ class Subject:
 
 def open_subject(path: Path) -> Subject:
     """Look into a file; trouble is kept, not raised."""
+    if path.is_dir():
+        inside = path / DESCRIPTION
+        return Subject(path, (), "", inside.read_bytes() if inside.is_file() else None)
     try:
         with zipfile.ZipFile(path) as archive:
             entries = tuple(archive.infolist())

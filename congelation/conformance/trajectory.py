@@ -1,13 +1,13 @@
 """What goes into an FMU during a test run, what comes out, and where two runs differ.
 
-Inputs are excited, because an FMU at rest hides most mistakes; the excitation is a function of
-the communication point alone, so that any run can be repeated from anywhere, in any process.
+After a plain run with the start values inputs are excited, because an FMU at rest hides most
+mistakes; the excitation is a function of the communication point alone, so that any run can be
+repeated from anywhere, in any process.
 """
 
 from __future__ import annotations
 
 import math
-import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -99,9 +99,12 @@ def excitation(variable: Variable, point: int, phase: float = 0.0) -> Value:
     """The value of an input at a communication point.
 
     Real inputs swing about their start value, within min and max; Boolean ones are toggled
-    every fourth point; the others keep their start value.
+    every fourth point; the others keep their start value, and so do all where the model does not
+    bear another one (`Variable.still`).
     """
     start = variable.start
+    if variable.still and start is not None:
+        return start
     if variable.base == "Real":
         centre = float(start or 0.0)
         swing = _AMPLITUDE * (1.0 + abs(centre))
@@ -185,14 +188,12 @@ def simulate(
 
 
 def same(one: Value, other: Value) -> bool:
-    """Equality to the last bit (a NaN equals itself, 0.0 differs from -0.0)."""
-    if isinstance(one, float) and isinstance(other, float):
-        return struct.pack("<d", one) == struct.pack("<d", other)
-    return one == other
+    """Equality of values (a NaN equals any NaN, and 0.0 equals -0.0)."""
+    return one == other or (one != one and other != other)
 
 
 def first_difference(one: Trajectory, other: Trajectory) -> str | None:
-    """The first place where two trajectories differ in any bit, in words; None if nowhere."""
+    """The first place where two trajectories differ in any value, in words; None if nowhere."""
     if len(one.rows) != len(other.rows):
         return f"{len(one.rows)} communication points instead of {len(other.rows)}"
     for point, (row, expected) in enumerate(zip(one.rows, other.rows, strict=True)):

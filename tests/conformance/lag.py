@@ -26,12 +26,19 @@ def header(name: str) -> str:
 
 
 def compiled(folder: Path, mutation: str = "") -> bytes:
-    """The shared library, with a mutation or none."""
+    """The shared library, with mutations (separated by blanks) or none."""
     target = folder / f"lag-{mutation or 'correct'}.so"
-    flags = [f"-DMUTATION_{mutation}=1"] if mutation else ["-Wall", "-Wextra", "-Werror"]
+    flags = [f"-DMUTATION_{name}=1" for name in mutation.split()]
+    flags = flags or ["-Wall", "-Wextra", "-Werror"]
+    libraries = [] if "libm_left_to_host" in mutation else ["-lm"]
     with as_file(files("fmpy") / "c-code") as headers:
         command = ["cc", "-shared", "-fPIC", "-O0", *flags, f"-I{headers}"]
-        subprocess.run([*command, SOURCES / "lag.c", "-o", target, "-lm"], check=True)
+        if "library_missing" in mutation:
+            # Linked to another library, which is then taken away.
+            gone = folder / "libgone.so"
+            subprocess.run(["cc", "-shared", "-o", gone, "-x", "c", "/dev/null"], check=True)
+            libraries += ["-Wl,--no-as-needed", f"-L{folder}", "-lgone"]
+        subprocess.run([*command, SOURCES / "lag.c", "-o", target, *libraries], check=True)
     return target.read_bytes()
 
 

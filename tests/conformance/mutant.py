@@ -48,7 +48,7 @@ class Mutant:
     edit: Edit = field(default=lambda entries: entries)
     pack: Pack = archive
     companion: Edit | None = None
-    time_limit: float = 30.0
+    time_limit: float = 60.0
 
     @property
     def label(self) -> str:

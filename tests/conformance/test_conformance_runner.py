@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import xml.etree.ElementTree as ElementTree
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,41 +14,86 @@ import pytest
 from mutant import XML, renamed, swap, without
 from rich.console import Console
 
-from congelation.conformance.binding import FUNCTIONS, Tape
+from congelation.conformance.binding import FUNCTIONS, Tape, filled
 from congelation.conformance.description import Unreadable, default_initial, read_description
-from congelation.conformance.report import print_report, to_json, to_junit
-from congelation.conformance.rule import Kind, Outcome
-from congelation.conformance.rules import BY_ID, RULES
-from congelation.conformance.runner import Checker, Report, run, select
+from congelation.conformance.report import to_json, to_junit, to_lines, to_table
+from congelation.conformance.rule import BY_ID, DynamicRule, Level, Outcome
+from congelation.conformance.rules import RULES
+from congelation.conformance.runner import Checker, Report, check, select
 from congelation.errors import InvalidInput
 
 Library = Callable[[str], bytes]
 
-DYNAMIC = tuple(rule for rule in RULES if rule.kind is Kind.DYNAMIC)
+DYNAMIC = tuple(rule for rule in RULES if isinstance(rule, DynamicRule))
 
 
 def test_hang_is_a_finding(library: Library, tmp_path: Path) -> None:
     path = lag.build(tmp_path, library("hangs"))
     with Checker(path, time_limit=1.0) as checker:
-        finding = checker.check(BY_ID["FMI2-LIB-03"])
-    assert finding.outcome is Outcome.VIOLATION
-    assert finding.lines == ("not done after 1 s (in fmi2DoStep)",)
+        verdict = checker.check(BY_ID["FMI2-LIB-03"])
+    assert verdict.outcome is Outcome.FOUND
+    assert verdict.breaches[0].what == "not done after 1 s (in fmi2DoStep)"
 
 
 def test_crash_names_signal_and_function(library: Library, tmp_path: Path) -> None:
     path = lag.build(tmp_path, library("null_freed"))
     with Checker(path) as checker:
-        finding = checker.check(BY_ID["FMI2-INST-03"])
-    assert finding.lines == ("the process was killed by SIGABRT in fmi2FreeInstance",)
+        verdict = checker.check(BY_ID["FMI2-INST-03"])
+    (breach,) = verdict.breaches
+    assert breach.what == "the process was killed by SIGABRT in fmi2FreeInstance (a null pointer)"
 
 
-def test_broken_plain_run_is_one_finding(library: Library, tmp_path: Path) -> None:
-    path = lag.build(tmp_path, library("initialization_fails"))
-    rules = select(["FMI2-LIB-03", "FMI2-RESET", "FMI2-VALUE-02"])
-    (fmu,) = run([path], rules=rules).fmus
-    broken = [f.rule.id for f in fmu.findings if f.outcome is Outcome.VIOLATION]
-    assert broken == ["FMI2-LIB-03"]
-    assert fmu.count(Outcome.NOT_APPLICABLE) == len(rules) - 1
+@pytest.mark.parametrize(
+    ("mutation", "rule"),
+    [
+        ("initialization_fails", "FMI2-LIB-03"),
+        ("memory_function_used step_crashes", "FMI2-LIB-03"),
+        ("library_missing", "FMI2-HOST-02"),
+        ("instantiation_fails", "FMI2-LIB-03"),
+        ("instantiated_once", "FMI2-INST-04"),
+        ("unknown_reference_crashes", "FMI2-VALUE-05"),
+        ("state_crashes", "FMI2-FLAG-01"),
+    ],
+)
+def test_one_cause_is_one_finding(
+    mutation: str, rule: str, library: Library, tmp_path: Path
+) -> None:
+    path = lag.build(tmp_path, library(mutation))
+    rules = [
+        *("FMI2-LIB-01", "FMI2-LIB-02", "FMI2-LIB-03", "FMI2-HOST", "FMI2-INST-04"),
+        *(
+            "FMI2-FLAG-01",
+            "FMI2-FMUSTATE",
+            "FMI2-VALUE-05",
+            "FMI2-VALUE-06",
+            "FMI2-LOG",
+            "FMI2-RESET-01",
+        ),
+    ]
+    report = check([path], rules=rules)
+    assert [finding.rule for finding in report.findings] == [rule]
+    verdicts = report.fmus[0].verdicts
+    assert all(v.reason for v in verdicts if v.outcome is Outcome.NOT_EVALUATED)
+    assert "Traceback" not in to_json(report)
+
+
+def test_finding_has_the_log_of_the_fmu(library: Library, tmp_path: Path) -> None:
+    path = lag.build(tmp_path, library("instantiation_fails"))
+    (finding,) = check([path], rules=["FMI2-LIB-03"]).findings
+    assert "there is no licence" in finding.what
+    assert any("there is no licence" in line for line in finding.evidence)
+
+
+def test_log_messages_have_their_arguments(library: Library, tmp_path: Path) -> None:
+    path = lag.build(tmp_path, library("arguments_logged logs_always"))
+    (finding,) = check([path], rules=["FMI2-LOG-02"]).findings
+    assert "'initialized at 0, 12 of lag, 0.5 and 7'" in finding.what
+
+
+def test_filled_reads_only_what_is_there() -> None:
+    assert filled("100 % done", ()) == "100 % done"
+    registers = (3, *(0.25,) * 8, *(8,) * 8)
+    assert filled("%d%% of %s at %.2f", registers) == "3% of <no string> at 0.25"
 
 
 @pytest.mark.parametrize(
@@ -74,18 +120,81 @@ def test_obstacle_makes_dynamic_rules_not_applicable(
 ) -> None:
     path = lag.build(tmp_path, library(""), edit=edit)
     with Checker(path) as checker:
-        finding = checker.check(BY_ID["FMI2-RESET-01"])
-    assert finding.outcome is Outcome.NOT_APPLICABLE
-    assert reason in finding.lines[0]
+        verdict = checker.check(BY_ID["FMI2-RESET-01"])
+    assert verdict.outcome is Outcome.NOT_APPLICABLE
+    assert reason in verdict.reason
+    assert "static rules only" in checker.scope
 
 
 def test_file_that_is_no_archive(tmp_path: Path) -> None:
     path = tmp_path / "no.fmu"
     path.write_text("no archive")
-    (fmu,) = run([path]).fmus
-    violations = [f.rule.id for f in fmu.findings if f.outcome is Outcome.VIOLATION]
-    assert violations == ["FMI2-PACK-01", "FMI2-PACK-02"]
-    assert all(f.outcome is Outcome.NOT_APPLICABLE for f in fmu.findings if f.rule in DYNAMIC)
+    (fmu,) = check([path]).fmus
+    assert [f.rule for f in fmu.findings] == ["FMI2-PACK-01", "FMI2-PACK-02"]
+    assert all(v.outcome is Outcome.NOT_APPLICABLE for v in fmu.verdicts if v.rule in DYNAMIC)
+
+
+@pytest.mark.parametrize("version", ["1.0", "3.0"])
+def test_other_versions_are_out_of_scope(version: str, library: Library, tmp_path: Path) -> None:
+    path = lag.build(
+        tmp_path, library(""), edit=swap('fmiVersion="2.0"', f'fmiVersion="{version}"')
+    )
+    (fmu,) = check([path]).fmus
+    assert not fmu.in_scope
+    assert fmu.scope == f"FMI {version}: not checked, the rules are those of FMI 2.0"
+    assert fmu.findings == ()
+
+
+def test_unpacked_fmu_is_checked(correct: Path, tmp_path: Path) -> None:
+    with zipfile.ZipFile(correct) as archive:
+        archive.extractall(tmp_path / "lag")
+    report = check([tmp_path / "lag"], rules=["FMI2-PACK", "FMI2-XML", "FMI2-LIB"])
+    assert report.findings == ()
+    assert "(unpacked)" in report.fmus[0].scope
+    assert report.fmus[0].count(Outcome.PASS) == 21
+
+
+def test_static_starts_no_process(
+    library: Library, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def forbidden(*arguments: object, **named: object) -> None:
+        raise AssertionError("a process was started")
+
+    monkeypatch.setattr("congelation.conformance.runner.subprocess.Popen", forbidden)
+    path = lag.build(tmp_path, library(""), edit=swap(' start="0.25"', ""))
+    (finding,) = check([path], static=True).findings
+    assert (finding.rule, finding.file, finding.line) == ("FMI2-VARS-05", XML, 45)
+    assert f"lag.fmu/{XML}:45: FMI2-VARS-05 violation: u has no start value - " in str(finding)
+
+
+def test_known_findings_are_not_counted(library: Library, tmp_path: Path) -> None:
+    path = lag.build(tmp_path, library("version_wrong"))
+    known = tmp_path / "known.toml"
+    entry = '[[known]]\nrule = "{}"\nfmu = "l*.fmu"\nreason = "old header"\n'
+    known.write_text(entry.format("FMI2-LIB-02") + entry.format("FMI2-LIB-03"))
+    report = check([path], rules=["FMI2-LIB"], known=known)
+    assert report.failures(Level.ROBUSTNESS) == ()
+    assert [finding.known for finding in report.findings] == ["old header"]
+    assert report.unused == ("FMI2-LIB-03 in l*.fmu",)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("known = 1", r"valid are entries \[\[known\]\]"),
+        ('[[known]]\nrule = "FMI2-LIB-02"', "entry 1 of .* needs rule, fmu and reason"),
+        ('[[known]]\nrule = "FMI2-LOB-02"\nfmu = "*"\nreason = "x"', "did you mean"),
+        ('[[known]]\nrule = "FMI2-LIB-02"\nfmu = "*"\nreason = ""', "not empty"),
+        ("[[known", "known.toml"),
+    ],
+)
+def test_wrong_known_file_is_refused(
+    text: str, message: str, correct: Path, tmp_path: Path
+) -> None:
+    known = tmp_path / "known.toml"
+    known.write_text(text)
+    with pytest.raises(InvalidInput, match=message):
+        check([correct], known=known)
 
 
 def modest(entries: lag.Entries) -> lag.Entries:
@@ -108,33 +217,33 @@ def modest(entries: lag.Entries) -> lag.Entries:
 
 def test_modest_fmu_has_no_violation(library: Library, tmp_path: Path) -> None:
     path = lag.build(tmp_path, library(""), edit=modest)
-    (fmu,) = run([path]).fmus
-    assert [(f.rule.id, f.lines) for f in fmu.findings if f.outcome is Outcome.VIOLATION] == []
-    families = {f.rule.id[:-3] for f in fmu.findings if f.outcome is Outcome.NOT_APPLICABLE}
+    (fmu,) = check([path]).fmus
+    assert [str(finding) for finding in fmu.findings] == []
+    families = {f.rule.id[:-3] for f in fmu.verdicts if f.outcome is Outcome.NOT_APPLICABLE}
     assert {"FMI2-FMUSTATE", "FMI2-SERIAL", "FMI2-FLAG"} <= families
 
 
 def test_fmu_for_one_instance_has_no_violation(library: Library, tmp_path: Path) -> None:
     flag = swap("<CoSimulation", '<CoSimulation canBeInstantiatedOnlyOncePerProcess="true"')
     path = lag.build(tmp_path, library("second_instance_refused"), edit=flag)
-    (fmu,) = run([path]).fmus
-    assert [(f.rule.id, f.lines) for f in fmu.findings if f.outcome is Outcome.VIOLATION] == []
+    (fmu,) = check([path]).fmus
+    assert [str(finding) for finding in fmu.findings] == []
 
 
 def test_two_fmus_are_checked_next_to_each_other(
     correct: Path, library: Library, tmp_path: Path
 ) -> None:
     other = lag.build(tmp_path, library("start_differs"), name="other.fmu")
-    report = run([correct, other], rules=select(["FMI2-INST-06", "FMI2-VALUE-01"]))
-    outcomes = [[f.outcome for f in fmu.findings] for fmu in report.fmus]
-    assert outcomes == [[Outcome.PASS, Outcome.PASS], [Outcome.PASS, Outcome.VIOLATION]]
-    assert report.violations == 1
+    report = check([correct, other], rules=["FMI2-INST-06", "FMI2-VALUE-01"])
+    outcomes = [[v.outcome for v in fmu.verdicts] for fmu in report.fmus]
+    assert outcomes == [[Outcome.PASS, Outcome.PASS], [Outcome.PASS, Outcome.FOUND]]
+    assert len(report.failures()) == 1
 
 
 def test_select_takes_ids_and_families() -> None:
     assert [rule.id for rule in select(["FMI2-LIB-02"])] == ["FMI2-LIB-02"]
     family = select(["FMI2-RESET"])
-    assert [rule.id for rule in family] == ["FMI2-RESET-01", "FMI2-RESET-02", "FMI2-RESET-03"]
+    assert [rule.id for rule in family] == [f"FMI2-RESET-0{number}" for number in (1, 2, 3, 4)]
     with pytest.raises(
         InvalidInput, match="no rule is named 'FMI2-LIB-99': did you mean 'FMI2-LIB"
     ):
@@ -143,7 +252,7 @@ def test_select_takes_ids_and_families() -> None:
 
 def test_run_wants_files(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="there is no FMU at"):
-        run([tmp_path / "missing.fmu"])
+        check([tmp_path / "missing.fmu"])
 
 
 def test_rules_are_complete() -> None:
@@ -151,6 +260,9 @@ def test_rules_are_complete() -> None:
         assert re.fullmatch(r"FMI2-[A-Z]+-\d\d", rule.id)
         assert re.fullmatch(r"\d(\.\d)+([-,] ?\d(\.\d)+)*", rule.section)
         assert rule.sentence.endswith(".")
+        assert all((rule.quote, rule.why, rule.remedy, rule.example))
+        # What the standard demands or recommends is quoted.
+        assert rule.level is Level.ROBUSTNESS or '"' in rule.quote or "standard" in rule.quote
     assert len(BY_ID) == len(RULES)
 
 
@@ -205,45 +317,54 @@ def test_tape_outlives_its_writer(tmp_path: Path) -> None:
 
 @pytest.fixture(scope="module")
 def mixed(library: Library, tmp_path_factory: pytest.TempPathFactory) -> Report:
-    """A report with a violation, a rule that does not apply, and one that passed."""
+    """A report with a warning, a violation, a rule that does not apply, and one that passed."""
     path = lag.build(
-        tmp_path_factory.mktemp("mixed"), library("line_break_logged"), edit=without("model.png")
+        tmp_path_factory.mktemp("mixed"),
+        library("line_break_logged function_missing"),
+        edit=without("model.png"),
     )
-    return run([path], rules=select(["FMI2-LOG-05", "FMI2-PACK-12", "FMI2-LIB-02"]))
+    return check([path], rules=["FMI2-LOG-07", "FMI2-PACK-12", "FMI2-LIB-01", "FMI2-LIB-02"])
 
 
 def test_json_report(mixed: Report) -> None:
     data = json.loads(to_json(mixed))
-    assert data["violations"] == 1
+    assert data["counts"] == {"violation": 1, "warning": 1, "robustness": 0}
     (fmu,) = data["fmus"]
-    assert [(f["rule"], f["outcome"]) for f in fmu["findings"]] == [
+    assert [(f["rule"], f["outcome"]) for f in fmu["rules"]] == [
         ("FMI2-PACK-12", "not applicable"),
+        ("FMI2-LIB-01", "found"),
         ("FMI2-LIB-02", "pass"),
-        ("FMI2-LOG-05", "violation"),
+        ("FMI2-LOG-07", "found"),
     ]
-    assert fmu["counts"] == {"pass": 1, "violation": 1, "not applicable": 1, "known limit": 0}
+    assert fmu["findings"][0]["what"] == "fmi2CancelStep is not exported"
+    assert all(f["remedy"] and f["evidence"] and f["standard"] for f in fmu["findings"])
 
 
-def test_junit_report(mixed: Report) -> None:
-    (suite,) = ElementTree.fromstring(to_junit(mixed))
+@pytest.mark.parametrize(
+    ("fail_on", "failures"), [(Level.VIOLATION, 1), (Level.WARNING, 2), (Level.ROBUSTNESS, 2)]
+)
+def test_junit_report(mixed: Report, fail_on: Level, failures: int) -> None:
+    (suite,) = ElementTree.fromstring(to_junit(mixed, fail_on))
     counts = [suite.get(name) for name in ("tests", "failures", "errors", "skipped")]
-    assert counts == ["3", "1", "0", "1"]
-    skipped, passed, failed = suite
+    assert counts == ["4", str(failures), "0", "1"]
+    skipped, failed, passed, warned = suite
     assert [child.tag for child in skipped] == ["skipped"]
     assert list(passed) == []
-    (failure,) = failed
-    assert "line break" in failure.get("message", "")
-    assert "section 2.1.5" in (failure.text or "")
+    assert warned[0].tag == ("system-out" if failures == 1 else "failure")
+    assert "fmi2CancelStep is not exported - " in failed[0].get("message", "")
+    assert "section 2.3" in (failed[0].text or "")
 
 
-def test_table_shows_what_is_wrong(mixed: Report) -> None:
-    console = Console(width=120, record=True, file=None, quiet=False, force_terminal=False)
+def test_lines_and_table(mixed: Report) -> None:
+    (fmu,) = mixed.fmus
+    scope, violation, warning, counts = to_lines(fmu)
+    assert scope.endswith(
+        "lag.fmu: FMI 2.0 co-simulation, static rules and dynamic rules on linux64"
+    )
+    assert "FMI2-LIB-01 violation: fmi2CancelStep is not exported - " in violation
+    assert "FMI2-LOG-07 warning: " in warning
+    assert "1 violation, 1 warning, 0 robustness, 1 pass, 0 known, 1 not applicable" in counts
+    console = Console(width=120, force_terminal=False)
     with console.capture() as capture:
-        print_report(mixed, console)
-    text = capture.get()
-    assert "FMI2-LOG-05" in text
-    assert "FMI2-LIB-02" not in text
-    assert "1 pass, 1 violation, 1 not applicable, 0 known limit" in text
-    with console.capture() as capture:
-        print_report(mixed, console, everything=True)
+        console.print(to_table(fmu))
     assert "FMI2-LIB-02" in capture.get()

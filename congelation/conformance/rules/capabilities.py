@@ -9,15 +9,19 @@ from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
 from congelation.conformance.description import Value, Variable
 from congelation.conformance.probe import read
-from congelation.conformance.rule import NotApplicable, Rule, dynamic
+from congelation.conformance.rule import Level, NotApplicable, dynamic
 from congelation.conformance.trajectory import demand, excitation, excite, inputs, same
 
-__all__ = ["RULES"]
+__all__: list[str] = []
 
 # Difference quotients over such a step are good to a few digits; the bound below only has to
 # tell a derivative from something else.
 _QUOTIENT_STEP = 1e-5
 _QUOTIENT_ERROR = 1e-2
+
+
+_STATE = ("fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2FreeFMUstate")
+_BYTES = ("fmi2SerializedFMUstateSize", "fmi2SerializeFMUstate", "fmi2DeSerializeFMUstate")
 
 
 def _needs(bench: Bench, flag: str) -> None:
@@ -29,9 +33,19 @@ def _real(variables: Sequence[Variable]) -> list[Variable]:
     return [v for v in variables if v.element == "Real" and v.variability == "continuous"]
 
 
-@dynamic("FMI2-FLAG-01", "2.1.8, 4.3.1")
+@dynamic("FMI2-FLAG-01", "2.1.8, 4.3.1", Level.VIOLATION, owns=_STATE)
 def state_functions(bench: Bench) -> Iterator[str]:
-    """With canGetAndSetFMUstate the functions for the FMU state succeed."""
+    """With canGetAndSetFMUstate the functions for the FMU state succeed.
+
+    Standard: canGetAndSetFMUstate: "fmi2GetFMUstate, fmi2SetFMUstate, and fmi2FreeFMUstate are
+    supported by the FMU"
+
+    Why: Rollback needs it.
+
+    Remedy: Implement the functions, or set the flag to false
+
+    Example: fmi2Error from fmi2GetFMUstate.
+    """
     _needs(bench, "canGetAndSetFMUstate")
     with bench.held() as instance:
         status, state = instance.get_state()
@@ -41,9 +55,19 @@ def state_functions(bench: Bench) -> Iterator[str]:
     yield from ()
 
 
-@dynamic("FMI2-FLAG-02", "2.1.8, 4.3.1")
+@dynamic("FMI2-FLAG-02", "2.1.8, 4.3.1", Level.VIOLATION, owns=_BYTES)
 def serializing_functions(bench: Bench) -> Iterator[str]:
-    """With canSerializeFMUstate the functions for serialized states succeed."""
+    """With canSerializeFMUstate the functions for serialized states succeed.
+
+    Standard: canSerializeFMUstate: "fmi2SerializedFMUstateSize, fmi2SerializeFMUstate,
+    fmi2DeSerializeFMUstate are supported by the FMU"
+
+    Why: Checkpoints need it.
+
+    Remedy: Implement the functions, or set the flag to false
+
+    Example: fmi2Error from fmi2SerializeFMUstate.
+    """
     _needs(bench, "canSerializeFMUstate")
     with bench.held() as instance:
         status, state = instance.get_state()
@@ -57,9 +81,18 @@ def serializing_functions(bench: Bench) -> Iterator[str]:
     yield from ()
 
 
-@dynamic("FMI2-FLAG-03", "4.2.1, 4.3.1")
+@dynamic("FMI2-FLAG-03", "4.2.1, 4.3.1", Level.VIOLATION)
 def input_derivatives(bench: Bench) -> Iterator[str]:
-    """With canInterpolateInputs fmi2SetRealInputDerivatives succeeds and has an effect."""
+    """With canInterpolateInputs fmi2SetRealInputDerivatives succeeds and has an effect.
+
+    Standard: "Calling of fmi2SetRealInputDerivatives(..) has an effect for the slave."
+
+    Why: Higher-order extrapolation needs it.
+
+    Remedy: Use the derivatives, or set canInterpolateInputs to false
+
+    Example: A function that returns fmi2OK and does nothing.
+    """
     _needs(bench, "canInterpolateInputs")
     found = _real(inputs(bench.description))
     if not found:
@@ -79,10 +112,20 @@ def input_derivatives(bench: Bench) -> Iterator[str]:
         yield "the derivatives of the inputs have no effect on a step"
 
 
-@dynamic("FMI2-FLAG-04", "4.2.1, 4.3.1")
+@dynamic("FMI2-FLAG-04", "4.2.1, 4.3.1", Level.VIOLATION)
 def output_derivatives(bench: Bench) -> Iterator[str]:
-    """Output derivatives up to maxOutputDerivativeOrder can be read, the first being the slope or
-    0."""
+    """Output derivatives up to maxOutputDerivativeOrder can be read, the first being the slope
+    or 0.
+
+    Standard: "Calling of fmi2GetRealOutputDerivatives(..) is allowed up to the order defined by
+    maxOutputDerivativeOrder"; it "retrieves the n-th derivative of output values"
+
+    Why: Extrapolation of signals needs it.
+
+    Remedy: Return the derivatives, or set maxOutputDerivativeOrder to 0
+
+    Example: A constant in place of a slope.
+    """
     order = bench.description.output_order
     found = _real([v for v in bench.description.variables if v.causality == "output"])
     if order < 1 or not found:
@@ -110,9 +153,19 @@ def _close(value: float, quotient: float) -> bool:
     return math.isfinite(value) and abs(value - quotient) <= _QUOTIENT_ERROR * (1.0 + abs(quotient))
 
 
-@dynamic("FMI2-FLAG-05", "2.1.9, 4.3.1")
+@dynamic("FMI2-FLAG-05", "2.1.9, 4.3.1", Level.VIOLATION)
 def directional_derivative(bench: Bench) -> Iterator[str]:
-    """With providesDirectionalDerivative the partial derivatives are those measured."""
+    """With providesDirectionalDerivative the partial derivatives are those measured.
+
+    Standard: "fmi2GetDirectionalDerivative computes a linear combination of the partial
+    derivatives"
+
+    Why: Implicit masters solve loops with it.
+
+    Remedy: Return the derivatives, or set the flag to false
+
+    Example: A factor of two.
+    """
     _needs(bench, "providesDirectionalDerivative")
     description = bench.description
     listed = [description.variable(unknown.index) for unknown in description.initial_unknowns]
@@ -138,9 +191,19 @@ def directional_derivative(bench: Bench) -> Iterator[str]:
     instance.free()
 
 
-@dynamic("FMI2-FLAG-06", "2.1.5, 4.3.1")
+@dynamic("FMI2-FLAG-06", "2.1.5, 4.3.1", Level.VIOLATION)
 def no_memory_functions(bench: Bench) -> Iterator[str]:
-    """With canNotUseMemoryManagementFunctions null pointers may stand for the memory functions."""
+    """With canNotUseMemoryManagementFunctions null pointers may stand for the memory functions.
+
+    Standard: with canNotUseMemoryManagementFunctions "function allocateMemory is not used in the
+    FMU and a void pointer can be provided"
+
+    Why: Hosts pass null pointers.
+
+    Remedy: Use malloc and free, or set the flag to false
+
+    Example: functions->allocateMemory(1, n).
+    """
     _needs(bench, "canNotUseMemoryManagementFunctions")
     instance = bench.initialize(bench.fresh(memory=False))
     found = bench.run(instance)
@@ -148,10 +211,20 @@ def no_memory_functions(bench: Bench) -> Iterator[str]:
     yield from bench.compare(found, "without memory functions")
 
 
-@dynamic("FMI2-FLAG-07", "2.1.5, 4.3.1")
+@dynamic("FMI2-FLAG-07", "2.1.5, 4.3.1", Level.VIOLATION)
 def several_instances(bench: Bench) -> Iterator[str]:
-    """Without canBeInstantiatedOnlyOncePerProcess a second instance can be made."""
-    if bench.alone_only:
+    """Without canBeInstantiatedOnlyOncePerProcess a second instance can be made.
+
+    Standard: "An FMU can be instantiated many times (provided capability flag
+    canBeInstantiatedOnlyOncePerProcess = false)."
+
+    Why: A system may hold a model twice.
+
+    Remedy: Allow it, or set canBeInstantiatedOnlyOncePerProcess
+
+    Example: A null pointer for the second instance.
+    """
+    if bench.description.flag("canBeInstantiatedOnlyOncePerProcess"):
         raise NotApplicable("canBeInstantiatedOnlyOncePerProcess is true")
     first, second = bench.attempt("first"), bench.attempt("second")
     for instance in (first, second):
@@ -161,26 +234,25 @@ def several_instances(bench: Bench) -> Iterator[str]:
         instance.free()
 
 
-@dynamic("FMI2-FLAG-08", "4.2.1")
+@dynamic("FMI2-FLAG-08", "4.2.1", Level.ROBUSTNESS)
 def zeroth_derivative(bench: Bench) -> Iterator[str]:
-    """The derivative of order 0 of an input cannot be set."""
+    """The derivative of order 0 of an input cannot be set.
+
+    Standard: "1 means the first derivative, 0 is not allowed": a demand on the host; what the FMU
+    returns is not said.
+
+    Why: A host's mistake should be seen.
+
+    Remedy: Return fmi2Error for order 0
+
+    Example: fmi2OK.
+    """
     _needs(bench, "canInterpolateInputs")
     found = _real(inputs(bench.description))
     if not found:
         raise NotApplicable("there is no continuous Real input")
     with bench.held() as instance:
+        bench.library.probe = "order 0"
         status = instance.set_input_derivatives([found[0].reference], [0], [1.0])
         if status in (Status.OK, Status.WARNING):
             yield f"fmi2SetRealInputDerivatives of order 0 returned {status}"
-
-
-RULES: tuple[Rule, ...] = (
-    state_functions,
-    serializing_functions,
-    input_derivatives,
-    output_derivatives,
-    directional_derivative,
-    no_memory_functions,
-    several_instances,
-    zeroth_derivative,
-)

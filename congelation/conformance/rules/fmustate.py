@@ -9,10 +9,10 @@ from congelation.conformance.bench import Bench
 from congelation.conformance.description import Value
 from congelation.conformance.instance import Instance
 from congelation.conformance.probe import shifted
-from congelation.conformance.rule import NotApplicable, Rule, dynamic
-from congelation.conformance.trajectory import demand, excitation, excite, inputs
+from congelation.conformance.rule import Level, NotApplicable, dynamic
+from congelation.conformance.trajectory import demand, excitation, excite, inputs, same
 
-__all__ = ["RULES", "restore", "save"]
+__all__ = ["restore", "save"]
 
 
 def _needs_state(bench: Bench) -> None:
@@ -32,9 +32,19 @@ def restore(instance: Instance, state: c_void_p, where: str = "") -> None:
     demand(instance.set_state(state), f"fmi2SetFMUstate{where}")
 
 
-@dynamic("FMI2-FMUSTATE-01", "2.1.8")
+@dynamic("FMI2-FMUSTATE-01", "2.1.8", Level.VIOLATION)
 def replay(bench: Bench) -> Iterator[str]:
-    """From a state set again the simulation repeats itself, to the last bit."""
+    """From a state set again the simulation repeats itself, to the last bit.
+
+    Standard: fmi2SetFMUstate "copies the content of the previously copied FMUstate back and uses
+    it as actual new FMU state"
+
+    Why: Rollback repeats a step.
+
+    Remedy: Save everything that a simulation needs to go on
+
+    Example: A state without the integrator's history.
+    """
     _needs_state(bench)
     with bench.held() as instance:
         bench.run(instance, last=4)
@@ -46,9 +56,19 @@ def replay(bench: Bench) -> Iterator[str]:
         demand(instance.free_state(state), "fmi2FreeFMUstate")
 
 
-@dynamic("FMI2-FMUSTATE-02", "2.1.8")
+@dynamic("FMI2-FMUSTATE-02", "2.1.8", Level.VIOLATION)
 def several_handles(bench: Bench) -> Iterator[str]:
-    """Several saved states are independent of each other and of the running instance."""
+    """Several saved states are independent of each other and of the running instance.
+
+    Standard: fmi2GetFMUstate "makes a copy of the internal FMU state"; after fmi2SetFMUstate "The
+    FMUstate copy still exists"
+
+    Why: Iterating masters hold several states.
+
+    Remedy: Copy, and do not share
+
+    Example: One buffer for all states.
+    """
     _needs_state(bench)
     points = (0, 3, 6, 9)
     with bench.held() as instance:
@@ -66,9 +86,19 @@ def several_handles(bench: Bench) -> Iterator[str]:
             demand(instance.free_state(handles[point]), "fmi2FreeFMUstate")
 
 
-@dynamic("FMI2-FMUSTATE-03", "2.1.8")
+@dynamic("FMI2-FMUSTATE-03", "2.1.8", Level.VIOLATION)
 def handle_reused(bench: Bench) -> Iterator[str]:
-    """fmi2GetFMUstate into a former handle leaves the new state in it."""
+    """fmi2GetFMUstate into a former handle leaves the new state in it.
+
+    Standard: "If *FMUstate != NULL, then *FMUstate points to a previously returned FMUstate"; a
+    note: the memory is reused "with the actual FMUstate"
+
+    Why: Masters save into one handle at each step.
+
+    Remedy: Write the new state into the former handle
+
+    Example: A former handle that keeps the old state.
+    """
     _needs_state(bench)
     with bench.held() as instance:
         state = save(instance)
@@ -81,9 +111,18 @@ def handle_reused(bench: Bench) -> Iterator[str]:
         demand(instance.free_state(state), "fmi2FreeFMUstate")
 
 
-@dynamic("FMI2-FMUSTATE-04", "2.1.8")
+@dynamic("FMI2-FMUSTATE-04", "2.1.8", Level.VIOLATION)
 def freed_is_null(bench: Bench) -> Iterator[str]:
-    """fmi2FreeFMUstate returns a null pointer in its argument."""
+    """fmi2FreeFMUstate returns a null pointer in its argument.
+
+    Standard: "The function returns a null pointer in argument FMUstate."
+
+    Why: A second free does no harm then.
+
+    Remedy: Set *FMUstate to NULL
+
+    Example: A freed pointer that is left.
+    """
     _needs_state(bench)
     with bench.held() as instance:
         state = save(instance)
@@ -92,9 +131,19 @@ def freed_is_null(bench: Bench) -> Iterator[str]:
             yield "the argument of fmi2FreeFMUstate is not null afterwards"
 
 
-@dynamic("FMI2-FMUSTATE-05", "2.1.8")
+@dynamic("FMI2-FMUSTATE-05", "2.1.8", Level.VIOLATION)
 def holds_inputs_and_parameters(bench: Bench) -> Iterator[str]:
-    """The state holds the inputs and the tunable parameters."""
+    """The state holds the inputs and the tunable parameters.
+
+    Standard: the state consists of "all values that are needed to continue a simulation",
+    "especially of [..] parameter values, input values"
+
+    Why: A repeated step uses the same inputs.
+
+    Remedy: Save inputs and parameters too
+
+    Example: A state without inputs.
+    """
     _needs_state(bench)
     description = bench.description
     with bench.held() as instance:
@@ -116,7 +165,7 @@ def holds_inputs_and_parameters(bench: Bench) -> Iterator[str]:
         restore(instance, state)
         found = _untouched(bench, instance)
         demand(instance.free_state(state), "fmi2FreeFMUstate")
-    if found != expected:
+    if not all(map(same, found, expected)):
         yield "a step from the state set again differs after inputs or tunable parameters were set"
 
 
@@ -125,16 +174,23 @@ def _untouched(bench: Bench, instance: Instance) -> list[Value]:
     time = bench.grid.time(3)
     demand(instance.step(time, bench.grid.time(4) - time), "fmi2DoStep")
     # Nothing is excited between 4 and 4: this only reads.
-    return [
-        float(x).hex() if isinstance(x, float) else x
-        for x in bench.run(instance, first=4, last=4).rows[0]
-    ]
+    return list(bench.run(instance, first=4, last=4).rows[0])
 
 
-@dynamic("FMI2-FMUSTATE-06", "2.1.8, 4.2.4")
+@dynamic("FMI2-FMUSTATE-06", "2.1.8, 4.2.4", Level.VIOLATION)
 def holds_the_mode(bench: Bench) -> Iterator[str]:
     """A state can be saved in "instantiated", Initialization Mode and stepComplete, and leads back
-    there."""
+    there.
+
+    Standard: the table allows fmi2GetFMUstate in instantiated, Initialization Mode and
+    stepComplete; the state includes "FMU internal status information"
+
+    Why: A host goes back behind initialization.
+
+    Remedy: Save the mode too
+
+    Example: A state without the mode.
+    """
     _needs_state(bench)
     instance = bench.fresh()
     new = save(instance, ' in "instantiated"')
@@ -156,9 +212,19 @@ def holds_the_mode(bench: Bench) -> Iterator[str]:
     instance.free()
 
 
-@dynamic("FMI2-FMUSTATE-07", "2.1.3, 2.1.8")
+@dynamic("FMI2-FMUSTATE-07", "2.1.3, 2.1.8", Level.ROBUSTNESS)
 def after_an_error(bench: Bench) -> Iterator[str]:
-    """After a refused step the simulation goes on from a state saved before it."""
+    """After a refused step the simulation goes on from a state saved before it.
+
+    Standard: after fmi2Error "it can be tried to restart the simulation from a formerly stored
+    FMU state".
+
+    Why: A master goes on from there.
+
+    Remedy: Take the instance's mode from the state
+
+    Example: An error flag outside of the state.
+    """
     _needs_state(bench)
     with bench.held() as instance:
         bench.run(instance, last=4)
@@ -168,14 +234,3 @@ def after_an_error(bench: Bench) -> Iterator[str]:
         restore(instance, state, f" after a step that returned {status}")
         yield from bench.compare(bench.run(instance, first=4), "after a refused step")
         demand(instance.free_state(state), "fmi2FreeFMUstate")
-
-
-RULES: tuple[Rule, ...] = (
-    replay,
-    several_handles,
-    handle_reused,
-    freed_is_null,
-    holds_inputs_and_parameters,
-    holds_the_mode,
-    after_an_error,
-)

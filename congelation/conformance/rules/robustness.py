@@ -15,10 +15,10 @@ from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
 from congelation.conformance.description import Value, Variable
 from congelation.conformance.instance import Instance
-from congelation.conformance.rule import NotApplicable, Rule, dynamic
+from congelation.conformance.rule import Level, NotApplicable, dynamic
 from congelation.conformance.trajectory import demand, excite, inputs
 
-__all__ = ["RULES"]
+__all__: list[str] = []
 
 _BAD_REALS = (math.nan, math.inf, -math.inf, 1e308, -1e308)
 _BAD_INTEGERS = (2**31 - 1, -(2**31), 0, -1)
@@ -89,18 +89,36 @@ def _survives(
     instance.free()
 
 
-@dynamic("FMI2-ROBUST-01", "2.1.3", patience=2.0)
+@dynamic("FMI2-ROBUST-01", "2.1.3", Level.ROBUSTNESS, time_factor=2.0)
 def bad_inputs(bench: Bench) -> Iterator[str]:
-    """NaN, infinite and huge values in Real inputs do no lasting harm."""
+    """NaN, infinite and huge values in Real inputs do no lasting harm.
+
+    Standard: nothing; a host's mistake should be an error and no crash.
+
+    Why: A diverging partner sends such values.
+
+    Remedy: Return fmi2Error or fmi2Discard, and let fmi2Reset restore all
+
+    Example: A crash for NaN.
+    """
     found = [v for v in inputs(bench.description) if v.element == "Real"]
     if not found:
         raise NotApplicable("there is no Real input")
     yield from _survives(bench, found, _bad_input)
 
 
-@dynamic("FMI2-ROBUST-02", "2.1.3", patience=3.0)
+@dynamic("FMI2-ROBUST-02", "2.1.3", Level.ROBUSTNESS, time_factor=3.0)
 def bad_parameters(bench: Bench) -> Iterator[str]:
-    """NaN, infinite and huge values in Real parameters and start values do no lasting harm."""
+    """NaN, infinite and huge values in Real parameters and start values do no lasting harm.
+
+    Standard: nothing; a host's mistake should be an error and no crash.
+
+    Why: A sweep's table may hold such values.
+
+    Remedy: Return fmi2Error or fmi2Discard, and let fmi2Reset restore all
+
+    Example: A NaN that survives fmi2Reset.
+    """
     found = [
         v for v in bench.description.variables if v.settable_before_start and v.element == "Real"
     ]
@@ -109,9 +127,18 @@ def bad_parameters(bench: Bench) -> Iterator[str]:
     yield from _survives(bench, found, _bad_start)
 
 
-@dynamic("FMI2-ROBUST-03", "2.1.3")
+@dynamic("FMI2-ROBUST-03", "2.1.3", Level.ROBUSTNESS)
 def bad_discrete(bench: Bench) -> Iterator[str]:
-    """Extreme integers and strings, and items that an enumeration lacks, do no lasting harm."""
+    """Extreme integers and strings, and items that an enumeration lacks, do no lasting harm.
+
+    Standard: nothing; a host's mistake should be an error and no crash.
+
+    Why: A file name may not exist.
+
+    Remedy: Return fmi2Error or fmi2Discard, and let fmi2Reset restore all
+
+    Example: An item number used as an index.
+    """
     settable = [
         v
         for v in bench.description.variables
@@ -124,9 +151,18 @@ def bad_discrete(bench: Bench) -> Iterator[str]:
     yield from _survives(bench, [v for v in settable if v.causality == "input"], _bad_input)
 
 
-@dynamic("FMI2-ROBUST-04", "2.1.3", patience=4.0)
+@dynamic("FMI2-ROBUST-04", "2.1.3", Level.ROBUSTNESS, time_factor=4.0)
 def many_faults(bench: Bench) -> Iterator[str]:
-    """A thousand faults in a row (bad inputs, steps, parameters, states) do not end the process."""
+    """A thousand faults in a row (bad inputs, steps, parameters, states) do not end the process.
+
+    Standard: nothing; a host lives on after failed runs.
+
+    Why: A sweep of a thousand runs meets a thousand failures.
+
+    Remedy: Return fmi2Error and let fmi2Reset restore all
+
+    Example: A leak or a crash after some failures.
+    """
     # Fixed seed: the same faults in every check.
     chance = random.Random(3)
     faults = _faults(bench)
@@ -176,6 +212,3 @@ def _faults(bench: Bench) -> list[_Fault]:
     if description.flag("canSerializeFMUstate"):
         faults.append(wrong_state)
     return faults
-
-
-RULES: tuple[Rule, ...] = (bad_inputs, bad_parameters, bad_discrete, many_faults)

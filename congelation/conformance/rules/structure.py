@@ -9,10 +9,11 @@ from itertools import pairwise
 from congelation.conformance.bench import Bench
 from congelation.conformance.description import Description, Unknown, Value
 from congelation.conformance.probe import feedthrough, initial_sensitivity
-from congelation.conformance.rule import NotApplicable, Rule, dynamic, static
-from congelation.conformance.subject import Subject
+from congelation.conformance.rule import Breach, Level, NotApplicable, dynamic, static
+from congelation.conformance.rules.variables import at
+from congelation.conformance.subject import DESCRIPTION, Subject
 
-__all__ = ["RULES"]
+__all__: list[str] = []
 
 # Kinds that make no sense in Initialization Mode, where nothing is fixed yet (section 2.2.8).
 _LATER_KINDS = {"fixed", "tunable", "discrete"}
@@ -27,29 +28,53 @@ def _names(description: Description, indices: set[int]) -> str:
 
 def _set_breaches(
     description: Description, listed: tuple[Unknown, ...], wanted: set[int]
-) -> Iterator[str]:
+) -> Iterator[Breach]:
     indices = [unknown.index for unknown in listed]
     if missing := wanted - set(indices):
-        yield f"missing: {_names(description, missing)}"
+        yield at(
+            description.variables[min(missing) - 1], f"missing: {_names(description, missing)}"
+        )
     if extra := set(indices) - wanted:
-        yield f"must not be there: {_names(description, extra)}"
+        line = next(unknown.line for unknown in listed if unknown.index in extra)
+        yield Breach(f"must not be there: {_names(description, extra)}", line, DESCRIPTION)
     for index, count in Counter(indices).items():
         if count > 1:
-            yield f"{_names(description, {index})} is listed {count} times"
+            line = [unknown.line for unknown in listed if unknown.index == index][-1]
+            what = f"{_names(description, {index})} is listed {count} times"
+            yield Breach(what, line, DESCRIPTION)
 
 
-@static("FMI2-STRUCT-01", "2.2.8")
-def outputs(subject: Subject) -> Iterator[str]:
-    """Outputs lists every variable with causality "output", once, and no other."""
+@static("FMI2-STRUCT-01", "2.2.8", Level.VIOLATION)
+def outputs(subject: Subject) -> Iterator[Breach]:
+    """Outputs lists every variable with causality "output", once, and no other.
+
+    Standard: "every variable with causality=output must be listed here"
+
+    Why: Masters order slaves by this list.
+
+    Remedy: List every output once under Outputs
+
+    Example: An output that is missing.
+    """
     description = subject.description
     wanted = {v.index for v in description.variables if v.causality == "output"}
     yield from _set_breaches(description, description.outputs, wanted)
 
 
-@static("FMI2-STRUCT-02", "2.2.8")
-def initial_unknowns(subject: Subject) -> Iterator[str]:
+@static("FMI2-STRUCT-02", "2.2.8", Level.VIOLATION)
+def initial_unknowns(subject: Subject) -> Iterator[Breach]:
     """InitialUnknowns lists, once, the approx or calculated outputs, states and derivatives, and
-    the calculated parameters."""
+    the calculated parameters.
+
+    Standard: "This list consists of all variables with causality = output and (initial = approx
+    or calculated)", calculated parameters, states and derivatives
+
+    Why: Masters solve loops at initialization by this list.
+
+    Remedy: List exactly these variables under InitialUnknowns
+
+    Example: No InitialUnknowns although there are outputs.
+    """
     description = subject.description
     exposed = description.states | {unknown.index for unknown in description.derivatives}
     wanted = {
@@ -64,33 +89,54 @@ def initial_unknowns(subject: Subject) -> Iterator[str]:
     yield from _set_breaches(description, description.initial_unknowns, wanted)
 
 
-@static("FMI2-STRUCT-03", "2.2.8")
-def initial_unknowns_order(subject: Subject) -> Iterator[str]:
-    """InitialUnknowns are ordered by ascending index."""
+@static("FMI2-STRUCT-03", "2.2.8", Level.VIOLATION)
+def initial_unknowns_order(subject: Subject) -> Iterator[Breach]:
+    """InitialUnknowns are ordered by ascending index.
+
+    Standard: "The Unknowns in this list must be ordered according to their ScalarVariable index"
+
+    Why: Importers read the list in order.
+
+    Remedy: Sort InitialUnknowns by index
+
+    Example: Index 15 before index 10.
+    """
     description = subject.description
-    indices = [unknown.index for unknown in description.initial_unknowns]
-    for before, after in pairwise(indices):
-        if after < before:
-            yield f"{_names(description, {after})} comes after {_names(description, {before})}"
+    for before, after in pairwise(description.initial_unknowns):
+        if after.index < before.index:
+            first, second = (_names(description, {unknown.index}) for unknown in (before, after))
+            yield Breach(f"{second} comes after {first}", after.line, DESCRIPTION)
 
 
-@static("FMI2-STRUCT-04", "2.2.8")
-def state_derivatives(subject: Subject) -> Iterator[str]:
+@static("FMI2-STRUCT-04", "2.2.8", Level.VIOLATION)
+def state_derivatives(subject: Subject) -> Iterator[Breach]:
     """Derivatives lists continuous variables with the attribute derivative, their states local or
-    output."""
+    output.
+
+    Standard: "All ScalarVariables listed in this element must have attribute derivative"; "A
+    continuous-time state must have causality = local or output"
+
+    Why: States are found by their derivatives.
+
+    Remedy: Add the attribute derivative, or remove the entry
+
+    Example: An entry of Derivatives that is a plain local variable.
+    """
     description = subject.description
     if not description.derivatives:
         raise NotApplicable("no Derivatives are listed")
     for unknown in description.derivatives:
         v = description.variable(unknown.index)
         if v is None or "derivative" not in v.attributes:
-            yield f"{_names(description, {unknown.index})} is no state derivative"
+            what = f"{_names(description, {unknown.index})} is no state derivative"
+            yield Breach(what, unknown.line, DESCRIPTION)
     for index in description.states:
         state = description.variable(index)
         if state is None or state.causality not in ("local", "output"):
-            yield f"the state {_names(description, {index})} is neither local nor output"
+            what = f"the state {_names(description, {index})} is neither local nor output"
+            yield Breach(what, None if state is None else state.line, DESCRIPTION)
         elif state.variability != "continuous":
-            yield f"the state {state.name} is {state.variability}"
+            yield at(state, f"the state {state.name} is {state.variability}")
 
 
 def _knowns(description: Description, initialization: bool) -> set[int]:
@@ -109,23 +155,46 @@ def _lists(description: Description) -> Iterator[tuple[str, tuple[Unknown, ...],
     yield "InitialUnknowns", description.initial_unknowns, True
 
 
-@static("FMI2-STRUCT-05", "2.2.8")
-def dependencies(subject: Subject) -> Iterator[str]:
-    """dependencies are indices of Knowns of the mode, ascending, each once."""
+@static("FMI2-STRUCT-05", "2.2.8", Level.VIOLATION)
+def dependencies(subject: Subject) -> Iterator[Breach]:
+    """dependencies are indices of Knowns of the mode, ascending, each once.
+
+    Standard: the Knowns are inputs, states, the independent variable, and at initialization those
+    with "initial = exact"; "The indices are ordered according to magnitude"
+
+    Why: Masters find algebraic loops by the dependencies.
+
+    Remedy: List Knowns alone, by ascending index
+
+    Example: An output that depends on another output.
+    """
     description = subject.description
     for name, unknowns, initialization in _lists(description):
         knowns = _knowns(description, initialization)
         for unknown in unknowns:
             listed, label = unknown.dependencies or (), _names(description, {unknown.index})
             if strange := set(listed) - knowns:
-                yield f"{name}: {label} depends on {_names(description, strange)}, no Known there"
+                names = _names(description, strange)
+                what = f"{name}: {label} depends on {names}, no Known there"
+                yield Breach(what, unknown.line, DESCRIPTION)
             if list(listed) != sorted(set(listed)):
-                yield f"{name}: the dependencies of {label} are not ascending"
+                what = f"{name}: the dependencies of {label} are not ascending"
+                yield Breach(what, unknown.line, DESCRIPTION)
 
 
-@static("FMI2-STRUCT-06", "2.2.8")
-def dependency_kinds(subject: Subject) -> Iterator[str]:
-    """dependenciesKind has one entry for each dependency, of a kind that fits mode and type."""
+@static("FMI2-STRUCT-06", "2.2.8", Level.VIOLATION)
+def dependency_kinds(subject: Subject) -> Iterator[Breach]:
+    """dependenciesKind has one entry for each dependency, of a kind that fits mode and type.
+
+    Standard: "dependencies must be present and must have the same number of list elements"; "Only
+    for Real unknowns: constant", and fixed, tunable and discrete "not for InitialUnknowns"
+
+    Why: Linear dependencies are solved in another way.
+
+    Remedy: Write one kind for each dependency, "dependent" for unknowns that are not Real
+
+    Example: dependenciesKind="constant" for an Integer output.
+    """
     description = subject.description
     for name, unknowns, initialization in _lists(description):
         for unknown in unknowns:
@@ -133,11 +202,14 @@ def dependency_kinds(subject: Subject) -> Iterator[str]:
                 continue
             v, label = description.variable(unknown.index), _names(description, {unknown.index})
             if unknown.dependencies is None or len(unknown.kinds) != len(unknown.dependencies):
-                yield f"{name}: {label} has {len(unknown.kinds)} kinds for other dependencies"
+                what = f"{name}: {label} has {len(unknown.kinds)} kinds for other dependencies"
+                yield Breach(what, unknown.line, DESCRIPTION)
             if initialization and (late := _LATER_KINDS.intersection(unknown.kinds)):
-                yield f"{name}: {label} has the kind {sorted(late)[0]!r}"
+                what = f"{name}: {label} has the kind {sorted(late)[0]!r}"
+                yield Breach(what, unknown.line, DESCRIPTION)
             if v is not None and v.element != "Real" and set(unknown.kinds) - {"dependent"}:
-                yield f"{name}: {label} is no Real and has factors for dependencies"
+                what = f"{name}: {label} is no Real and has factors for dependencies"
+                yield Breach(what, unknown.line, DESCRIPTION)
 
 
 def _compare(
@@ -166,9 +238,19 @@ def _compare(
             )
 
 
-@dynamic("FMI2-STRUCT-07", "2.2.8", patience=3.0)
+@dynamic("FMI2-STRUCT-07", "2.2.8", Level.ROBUSTNESS, time_factor=3.0)
 def measured_initial_dependencies(bench: Bench) -> Iterator[str]:
-    """In Initialization Mode an Unknown reacts to no Known but those listed as its dependencies."""
+    """In Initialization Mode an Unknown reacts to no Known but those listed as its dependencies.
+
+    Standard: a note allows an FMU to leave out dependencies over which it cannot be iterated; a
+    host needs all to initialize in the right order.
+
+    Why: A master that follows the list reads the unknown too early.
+
+    Remedy: List the Known under dependencies, or leave dependencies out
+
+    Example: y = g x with dependencies="".
+    """
     unknowns = bench.description.initial_unknowns
     if not any(unknown.dependencies is not None for unknown in unknowns):
         raise NotApplicable("no InitialUnknown declares dependencies")
@@ -176,10 +258,20 @@ def measured_initial_dependencies(bench: Bench) -> Iterator[str]:
     yield from _compare(bench, "InitialUnknowns", unknowns, measured, varied)
 
 
-@dynamic("FMI2-STRUCT-08", "2.2.8")
+@dynamic("FMI2-STRUCT-08", "2.2.8", Level.ROBUSTNESS)
 def measured_feedthrough(bench: Bench) -> Iterator[str]:
     """At a communication point an output reacts at once to no input but those listed as its
-    dependencies."""
+    dependencies.
+
+    Standard: the dependencies are those at a communication point, where nothing may be read
+    between fmi2SetXXX and fmi2DoStep, so that a step is all that can be measured.
+
+    Why: A master that follows the list overlooks an algebraic loop.
+
+    Remedy: List the input under dependencies, or leave dependencies out
+
+    Example: w = x + u with dependencies="".
+    """
     unknowns = bench.description.outputs
     if not any(unknown.dependencies is not None for unknown in unknowns):
         raise NotApplicable("no output declares dependencies")
@@ -187,15 +279,3 @@ def measured_feedthrough(bench: Bench) -> Iterator[str]:
     if not varied:
         raise NotApplicable("there is no Real input")
     yield from _compare(bench, "Outputs", unknowns, measured, varied)
-
-
-RULES: tuple[Rule, ...] = (
-    outputs,
-    initial_unknowns,
-    initial_unknowns_order,
-    state_derivatives,
-    dependencies,
-    dependency_kinds,
-    measured_initial_dependencies,
-    measured_feedthrough,
-)

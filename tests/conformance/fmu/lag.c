@@ -62,7 +62,7 @@ typedef struct {
 static const State FRESH = {
     .magic = "lag 1",
     .end = "end",
-    .real = {[U] = 0.25, [K] = MUTANT(start_differs) ? 1.6 : 1.5, [G] = 2.0, [ANSWER] = 42.0, [X] = 1.0},
+    .real = {[U] = 0.25, [K] = MUTANT(start_differs) ? 1.6 : 1.5, [G] = MUTANT(more_digits) ? 2.0 / 3.0 : 2.0, [ANSWER] = 42.0, [X] = 1.0},
     .first = 3,
     .sign = PLUS,
     .active = 1,
@@ -92,6 +92,11 @@ static fmi2Status report(Instance *i, fmi2Status status, const char *format, ...
         vsnprintf(text, sizeof text - 2, format, arguments);
         va_end(arguments);
         if (MUTANT(line_break_logged)) strcat(text, "\n");
+        if (MUTANT(arguments_logged)) {
+            i->callbacks.logger(i->callbacks.componentEnvironment, i->name, status, category,
+                                "%s, %d of %s, %.1f and %lu", text, 12, "lag", 0.5, 7ul);
+            return status;
+        }
         i->callbacks.logger(i->callbacks.componentEnvironment, i->name, status,
                             MUTANT(category_unknown) ? "logSomething" : category, text);
     }
@@ -185,6 +190,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
 {
     (void)visible;
     if (MUTANT(second_instance_refused) && counter++ > 0) return NULL;
+    if (MUTANT(instantiated_once) && counter++ > 0) abort();
     Instance *i = calloc(1, sizeof *i);
     if (MUTANT(memory_function_used)) {
         functions->freeMemory(functions->allocateMemory(1, 64));
@@ -204,6 +210,12 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
 #ifdef MUTATION_needs_its_host
     if (!Py_IsInitialized()) abort();
 #endif
+    if (MUTANT(instantiation_fails)) {
+        report(i, fmi2Error, "there is no licence");
+        free(i->name);
+        free(i);
+        return NULL;
+    }
     int known = MUTANT(guid_unchecked) || strcmp(guid, GUID) == 0;
     if (type != fmi2CoSimulation || !known || !read_resource(i, uri)) {
         if (!MUTANT(refusal_unexplained)) {
@@ -235,6 +247,7 @@ fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t n, const 
     i->logging = on;
     i->events = i->discards = i->errors = n == 0;
     for (size_t k = 0; k < n; ++k) {
+        if (strcmp(names[k], "logAll") == 0) i->events = i->discards = i->errors = 1;
         if (strcmp(names[k], "logEvents") == 0) i->events = 1;
         if (strcmp(names[k], "logStatusDiscard") == 0) i->discards = 1;
         if (strcmp(names[k], "logStatusError") == 0) i->errors = 1;
@@ -275,6 +288,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
     Instance *i = c;
     if (expect(i, i->now.mode == INITIALIZATION, "fmi2ExitInitializationMode")) return fmi2Error;
     if (MUTANT(initialization_fails)) return fmi2Error;
+    if (MUTANT(input_must_rest) && i->now.real[U] != 0.25) return report(i, fmi2Error, "singular");
     i->now.mode = STEPPING;
     if (MUTANT(shared_state)) shared = &i->now;
     if (MUTANT(input_cleared)) i->now.real[U] = 0.0;
@@ -294,6 +308,7 @@ fmi2Status fmi2Terminate(fmi2Component c)
 fmi2Status fmi2Reset(fmi2Component c)
 {
     Instance *i = c;
+    if (MUTANT(failure_is_final) && i->now.mode >= FAILED && i->now.mode != TERMINATED) return fmi2Error;
     if (MUTANT(reset_refused) && i->now.mode == TERMINATED) return fmi2Error;
     double x = i->now.real[X], k = i->now.real[K], u = i->now.real[U];
     Mode before = i->now.mode;
@@ -321,6 +336,8 @@ static double real_of(const Instance *i, fmi2ValueReference r)
     double sign = s->sign == MINUS ? -1.0 : 1.0, a = i->feedthrough;
     if (MUTANT(process_wide_setting)) a = atof(getenv("LAG_FEEDTHROUGH"));
     switch (r) {
+    case TIME: return s->real[TIME] - (MUTANT(clock_late) ? s->last_size : 0.0);
+    case TABLE_1: return MUTANT(negative_zero) && counter++ % 2 ? -0.0 : s->real[TABLE_1];
     case TWICE_K: return 2.0 * s->real[K];
     case DER_X: return slope(s);
     case Y: return sign * s->real[G] * s->real[X];
@@ -467,6 +484,7 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
     Instance *i = c;
     static State only;
+    if (MUTANT(state_crashes)) abort();
     if (MUTANT(state_unsupported)) return fmi2Error;
     if (MUTANT(one_state_for_all)) *state = &only;
     if (*state != NULL && MUTANT(former_handle_kept)) return fmi2OK;
@@ -643,6 +661,15 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real time, fmi2Real h, fmi2Boolean fi
     if (MUTANT(other_size_refused) && i->now.steps > i->now.first && fabs(h - i->now.last_size) > 1e-9) {
         return report(i, fmi2Discard, "another step size");
     }
+    if (MUTANT(prints_to_output)) {
+        printf("stepping by %g\n", h);
+        fflush(stdout);
+    }
+    if (h > 20.0) {
+        s->mode = FAILED;
+        return report(i, fmi2Discard, "the step is too large");
+    }
+    if (MUTANT(step_crashes)) abort();
     if (MUTANT(hangs)) for (;;) sleep(1);
     double size = MUTANT(step_size_ignored) ? 0.01 : h;
     s->real[X] = solved(s, size);
@@ -678,7 +705,8 @@ fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status 
 fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value)
 {
     Instance *i = c;
-    if (kind != fmi2LastSuccessfulTime) return no_status(c);
+    if (kind != fmi2LastSuccessfulTime || MUTANT(status_is_an_error)) return no_status(c);
+    if (MUTANT(status_after_discard_only) && i->now.mode != FAILED) return report(i, fmi2Error, "nothing was discarded");
     *value = i->now.real[TIME] - (MUTANT(last_time_wrong) ? i->now.last_size : 0.0);
     return fmi2OK;
 }

@@ -1,4 +1,4 @@
-"""Known limits: breaches that the authors of an FMU cannot mend, because its wrapper makes them.
+"""Findings that are accepted: the limits of pythonfmu's library, and those of a file of the user's.
 
 pythonfmu puts a prebuilt shared library around a Python class. What that library does with the
 return values and exceptions of the class, and what it never hands to it, is out of the class's
@@ -8,10 +8,15 @@ FMU without that library is a violation like any other.
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Mapping
 from dataclasses import dataclass
+from fnmatch import fnmatch
 from pathlib import Path
 
-__all__ = ["LIMITS", "Limit", "is_pythonfmu", "limit_of"]
+from congelation.errors import InvalidInput, nearest
+
+__all__ = ["LIMITS", "Accepted", "Limit", "is_pythonfmu", "limit_of", "read_known"]
 
 
 @dataclass(frozen=True)
@@ -24,11 +29,14 @@ class Limit:
         Id of the rule that it breaks.
     sentence : str
         What happens, and why it cannot be mended from Python.
+    says : str
+        What the finding has to say to be this limit; "" for any text.
     """
 
     id: str
     rule: str
     sentence: str
+    says: str = ""
 
 
 def is_pythonfmu(directory: Path) -> bool:
@@ -36,9 +44,57 @@ def is_pythonfmu(directory: Path) -> bool:
     return (directory / "resources" / "slavemodule.txt").is_file()
 
 
-def limit_of(rule: str) -> Limit | None:
-    """The limit that breaks a rule, if there is one."""
-    return next((limit for limit in LIMITS if limit.rule == rule), None)
+def limit_of(rule: str, what: str) -> Limit | None:
+    """The limit that explains a finding, if there is one."""
+    return next((limit for limit in LIMITS if limit.rule == rule and limit.says in what), None)
+
+
+@dataclass(frozen=True)
+class Accepted:
+    """One entry of a file of known findings.
+
+    Attributes
+    ----------
+    fmu : str
+        Name of the FMU's file, with * and ? as in a shell.
+    """
+
+    rule: str
+    fmu: str
+    reason: str
+
+    def covers(self, rule: str, path: Path) -> bool:
+        """Whether the entry is about a rule in an FMU."""
+        return self.rule == rule and fnmatch(path.name, self.fmu)
+
+
+def read_known(path: Path, rules: Mapping[str, object]) -> tuple[Accepted, ...]:
+    """Read a file of known findings: a TOML array ``known`` of tables with rule, fmu and reason.
+
+    Raises
+    ------
+    InvalidInput
+        The file cannot be read, or an entry is not complete or names no rule.
+    """
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InvalidInput(f"{path}: {error}") from error
+    entries = data.get("known", [])
+    if set(data) - {"known"} or not isinstance(entries, list):
+        raise InvalidInput(f"{path}: valid are entries [[known]] with rule, fmu and reason")
+    found = []
+    for number, entry in enumerate(entries, 1):
+        where = f"{path}: entry {number} of [[known]]"
+        if not isinstance(entry, dict) or set(entry) != {"rule", "fmu", "reason"}:
+            raise InvalidInput(f"{where} needs rule, fmu and reason, and nothing else")
+        if not all(isinstance(value, str) and value.strip() for value in entry.values()):
+            raise InvalidInput(f"{where}: rule, fmu and reason are texts that are not empty")
+        if entry["rule"] not in rules:
+            name = entry["rule"]
+            raise InvalidInput(f"{where}: no rule is named '{name}': {nearest(name, rules)}")
+        found.append(Accepted(**entry))
+    return tuple(found)
 
 
 LIMITS: tuple[Limit, ...] = (
@@ -65,8 +121,9 @@ LIMITS: tuple[Limit, ...] = (
     ),
     Limit(
         "PYTHONFMU-05",
-        "FMI2-EXP-05",
+        "FMI2-EXP-04",
         "fmi2DoStep returns fmi2OK or fmi2Discard, or fmi2Fatal if Python raises; never fmi2Error.",
+        says="returned fmi2Discard",
     ),
     Limit(
         "PYTHONFMU-06",
@@ -92,11 +149,6 @@ LIMITS: tuple[Limit, ...] = (
         "PYTHONFMU-10",
         "FMI2-FMUSTATE-04",
         "fmi2FreeFMUstate leaves the freed pointer in its argument, where null is due.",
-    ),
-    Limit(
-        "PYTHONFMU-11",
-        "FMI2-SERIAL-05",
-        "fmi2DeSerializeFMUstate returns fmi2OK, or fmi2Fatal if Python raises; never fmi2Error.",
     ),
     Limit(
         "PYTHONFMU-12",
