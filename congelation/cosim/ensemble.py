@@ -111,6 +111,8 @@ class Ensemble:
         fmi2 calls that `read` and `write` take.
     stepping : bool
         False until initialisation is over: only then may derivatives move by FMI functions.
+    level : int
+        Which of the saved states `save` and `restore` work on; those of another level are kept.
     calls : int
         fmi2 calls made, those of the steps' regular pattern left out; see Stepper.
     """
@@ -129,7 +131,8 @@ class Ensemble:
         self.slaves = tuple(slaves)
         self.stepping = False
         self.calls = 0
-        self._states: list[tuple[Slave, State]] = []
+        self.level = 0
+        self._states: dict[int, list[tuple[Slave, State]]] = {}
         self._plan_outputs(recorded, derivatives, slopes, events)
         self._plan_inputs(derivatives)
 
@@ -320,30 +323,50 @@ class Ensemble:
         """Whether some are moved by FMI functions, which initialisation mode does not allow."""
         return max((*self.read_calls, *self.write_calls), default=0) > 1
 
+    def passes_on_held(self, m: int) -> bool:
+        """Whether an output of slave m may follow at once from a driven input that is held."""
+        known = self.system.members[m].description.dependencies.values()
+        columns = self.columns[m]
+        held = {
+            link.input.name
+            for link, order in zip(self.links[columns], self.order[columns], strict=True)
+            if order == 0
+        }
+        return bool(held) and any(names is None or held.intersection(names) for names in known)
+
     def copy_discrete(self) -> None:
         """Copy the Integer, Boolean and String outputs to the inputs that they drive."""
-        for link in self.system.discrete_links:
-            kind = link.output.type
-            (value,) = self.slaves[link.source].get_values(kind, [link.output.reference])
+        # All are read before any is set, so that the order of the connections does not matter.
+        values = self.discrete_values()
+        for link, value in zip(self.system.discrete_links, values, strict=True):
             self.slaves[link.target].set_value(link.input, value)
+
+    def discrete_values(self) -> list[float | int | bool | str]:
+        """The outputs that drive Integer, Boolean and String inputs, as they are now."""
+        found = []
+        for link in self.system.discrete_links:
+            reference = link.output.reference
+            found += self.slaves[link.source].get_values(link.output.type, [reference])
+        return found
 
     # -- states of the slaves -----------------------------------------------------------------
 
     def save(self) -> None:
         """Save the states of all slaves as they are now, over those saved before."""
-        if self._states:
-            for slave, state in self._states:
-                slave.save_into(state)
-            self.calls += 2 * len(self._states)
-        else:
-            self._states = [(slave, slave.save()) for slave in self.slaves]
-            self.calls += len(self._states)
+        saved = self._states.get(self.level)
+        if saved is None:
+            self._states[self.level] = [(slave, slave.save()) for slave in self.slaves]
+            self.calls += len(self.slaves)
+            return
+        for slave, state in saved:
+            slave.save_into(state)
+        self.calls += 2 * len(saved)
 
     def restore(self) -> None:
         """Take all slaves back to the saved states."""
-        for slave, state in self._states:
+        for slave, state in self._states[self.level]:
             slave.restore(state)
-        self.calls += len(self._states)
+        self.calls += len(self.slaves)
 
 
 def _chained(calls: Sequence[Call]) -> Call:

@@ -98,7 +98,7 @@ class Exchange:
         """
         ensemble = self._ensemble
         ensemble.C[2:] = 0.0
-        ensemble.copy_discrete()
+        self._copy_discrete(time)
         for block in self.blocks:
             self._read(block)
             values = ensemble.Y[block.places]
@@ -107,6 +107,31 @@ class Exchange:
                 self._solve(block, values, time)
         ensemble.read_all()
         ensemble.calls += sum(ensemble.read_calls)
+
+    def _copy_discrete(self, time: float) -> None:
+        """Copy Integer, Boolean and String values until none changes: an output may follow from
+        an input at once.
+
+        Raises
+        ------
+        RunEnded
+            LOOP_UNSOLVED, where they never stop changing.
+        """
+        links = self._ensemble.system.discrete_links
+        before = None
+        # A chain through all links takes as many passes; the last one finds nothing new.
+        for _ in range(len(links) + 1):
+            after = self._ensemble.discrete_values()
+            if after == before or not links:
+                return
+            self._ensemble.copy_discrete()
+            before = after
+        if self._ensemble.discrete_values() != before:
+            raise RunEnded(
+                Status.LOOP_UNSOLVED,
+                f"at t = {time:.9g}: Integer, Boolean or String values keep changing around "
+                f"{', '.join(link.name for link in links)}",
+            )
 
     def settle(self, time: float) -> None:
         """Run, and again while that changes anything: for initialisation, where an output may

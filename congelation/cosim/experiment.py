@@ -23,6 +23,14 @@ GRID_ROUNDING = 1e-12
 """A horizon this near to a whole number of steps, relative, is taken to be one."""
 
 
+UNITS = 2.0
+"""The same in units in the last place of time: what start and stop are off by, when written as
+decimal numbers."""
+
+GRID_SHARE = 1e-3
+"""Of a step: more is never rounding."""
+
+
 @dataclass(frozen=True)
 class Experiment:
     """One run of a system, as plain data.
@@ -118,7 +126,9 @@ def step_count(start: float, stop: float, step: float) -> int:
 def divides(start: float, stop: float, step: float) -> bool:
     """Whether the horizon is a whole number of steps, up to rounding."""
     ratio = (stop - start) / step
-    return round(ratio) >= 1 and abs(ratio - round(ratio)) <= GRID_ROUNDING * ratio
+    # Times far from zero resolve no more than their unit in the last place.
+    rounding = max(GRID_ROUNDING * ratio, UNITS * math.ulp(max(abs(start), abs(stop))) / step)
+    return round(ratio) >= 1 and abs(ratio - round(ratio)) <= min(rounding, GRID_SHARE)
 
 
 def require_resolved_periods(experiment: Experiment, outputs: Sequence[Output]) -> None:

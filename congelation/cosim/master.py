@@ -185,6 +185,8 @@ def _ended(session: Session, experiment: Experiment) -> tuple[Status, str]:
             elif step is not None:
                 run_fixed(session, state, step)
             session.finish(completed=True)
+            for slave in session.ensemble.slaves:
+                slave.complete()
             session.report(1.0)
         except RunEnded as end:
             session.finish(completed=False)
@@ -192,4 +194,10 @@ def _ended(session: Session, experiment: Experiment) -> tuple[Status, str]:
         except SlaveError as error:
             session.finish(completed=False)
             return Status.SLAVE_FAILED, str(error)
+    if session.floors:
+        return Status.COMPLETED, (
+            f"{Status.COMPLETED.value} In {session.floors} of {session.steps} steps the accuracy "
+            "of the FMUs, not the step, limited the error: loosen the tolerance, or make the FMUs "
+            "more accurate (slave_tolerance, or their own parameters)."
+        )
     return Status.COMPLETED, Status.COMPLETED.value

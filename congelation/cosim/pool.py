@@ -61,13 +61,18 @@ class SlavePool:
 
     def _take(self, member: Member) -> Slave:
         idle = self._idle[member.name, member.description.sha256]
-        return idle.pop() if idle else Slave(member.name, member.description)
-
-    def _put_back(self, slave: Slave) -> None:
-        if slave.usable:
+        while idle:
+            slave = idle.pop()
             try:
+                # Only now: an FMU that fails here fails after the rows of its run are safe.
                 slave.reset()
             except SlaveError:
                 slave.close()
             else:
-                self._idle[slave.name, slave.description.sha256].append(slave)
+                return slave
+        return Slave(member.name, member.description)
+
+    def _put_back(self, slave: Slave) -> None:
+        if slave.usable:
+            slave.free_states()
+            self._idle[slave.name, slave.description.sha256].append(slave)

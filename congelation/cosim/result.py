@@ -68,6 +68,9 @@ class Statistics:
         Calls of fmi2 functions during the stepping loop.
     events : int
         Announced jumps on which a communication point was placed.
+    floors : int
+        Of the steps chosen by a tolerance, those whose error came from the FMUs' own integration,
+        so that a shorter step did not better it.
     estimated_error : float
         Largest estimated distance of an input, while its FMU stepped, from the output that
         drives it, relative to the output's nominal value plus its size.
@@ -80,6 +83,7 @@ class Statistics:
     iterations: int = 0
     fmi_calls: int = 0
     events: int = 0
+    floors: int = 0
     estimated_error: float = 0.0
     wall_time: float = 0.0
 

@@ -12,6 +12,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
+import numpy.typing as npt
+
 from congelation.cosim.coupling import AdaptiveStepper, Coupling, Stepper, Trial
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
@@ -22,6 +25,7 @@ from congelation.fmi.slave import StepDiscarded
 
 __all__ = ["Progress", "Session", "StepSize", "run_adaptive", "run_fixed"]
 
+Floats = npt.NDArray[np.float64]
 Progress = Callable[[float], None]
 
 PROGRESS_PERIOD = 0.1
@@ -46,6 +50,28 @@ SMALLEST_SHARE = 1e-15
 """Of the horizon: the same near t = 0, where doubles resolve times of no meaning."""
 
 
+ORDER_HELD = 2
+"""Of the couplings with inputs held at their mean: the error of one step falls with one power
+more."""
+
+
+SHARES = 2.0
+"""Errors of steps are in part opposite, so their sum may be allowed so many tolerances."""
+
+LEAST_SHARE = 1e-2
+"""The lasting error that any step may have, as a share of the tolerance: where a solution is not
+smooth, as after a blow, steps are few and tiny, and their shares would be out of reach."""
+
+PASSING_SHARE = 0.3
+"""The error that a step may have where it does not last, as a share of the tolerance."""
+
+PROBED = 8
+"""Accepted steps from one look at how much of the error lasts to the next: it costs two passes."""
+
+FLOOR_EXPONENT = 0.25
+"""An error that falls by less than this power of the step does not come from the step."""
+
+
 class Session:
     """One run under way: what both loops share.
 
@@ -67,6 +93,8 @@ class Session:
         There once `initialise` is done.
     steps, rejected, events, largest_error
         As in Statistics, `largest_error` for steps that are chosen by a tolerance.
+    floors : int
+        Steps whose error comes from the FMUs rather than from the step.
     """
 
     stepper: Stepper[Any]
@@ -83,7 +111,7 @@ class Session:
     ) -> None:
         self.ensemble = ensemble
         self.start, self.stop = start, stop
-        self.steps = self.rejected = self.events = 0
+        self.steps = self.rejected = self.events = self.floors = 0
         self.largest_error = 0.0
         self._exchange = Exchange(ensemble)
         self._coupling = coupling
@@ -216,6 +244,7 @@ class Session:
             iterations=stepper.iterations,
             fmi_calls=self.ensemble.calls + stepper.iterations * stepper.calls_per_iteration,
             events=self.events,
+            floors=self.floors,
             estimated_error=max(self.largest_error, stepper.largest_error()),
             wall_time=wall_time,
         )
@@ -282,6 +311,7 @@ def run_adaptive(
     stepper, ensemble = session.stepper, session.ensemble
     assert isinstance(stepper, AdaptiveStepper)  # as a tolerance is given
     horizon = session.stop - session.start
+    halving = Halving(np.abs(ensemble.Y[ensemble.source]), np.ones(len(ensemble.links)), 0)
     guess = min(stepper.first_step(state), FIRST_SHARE * horizon)
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
@@ -290,19 +320,29 @@ def run_adaptive(
         target = min(session.stop, just_before(event))
         while time < target:
             ensemble.save()
-            trial = None
-            while trial is None:
+            refused: tuple[float, float] | None = None
+            while True:
                 end = _end(time, size.length, target)
-                trial, error = _tried(session, stepper, state, time, end, tolerance)
-                if trial is None or not error <= 1.0:  # nan, too, is no success
-                    ensemble.restore()
-                    session.rejected += 1
-                    size = size.refused(error, end - time, trial.order if trial else 1)
-                    trial = None
+                trial, error = _tried(session, stepper, state, time, end, tolerance, halving)
+                if trial is not None and error <= 1.0:
+                    size = size.accepted(error, end - time, trial.order)
+                    break
+                if trial is not None and stepper.halves:
+                    found = halving.found
+                    if refused is not None and _is_floor(refused, end - time, found, tolerance):
+                        # What is left comes from the FMUs, whose accuracy no step betters.
+                        session.floors += 1
+                        size = replace(size, length=refused[0], rejected=True)
+                        break
+                    refused = end - time, found
+                ensemble.restore()
+                session.rejected += 1
+                size = size.refused(error, end - time, trial.order if trial else 1)
             ensemble.copy_discrete()
             state = trial.state
             session.largest_error = max(session.largest_error, trial.error)
-            size = size.accepted(error, end - time, trial.order)
+            if stepper.halves:
+                halving = halving.accepted(ensemble.Y[ensemble.source])
             time = end
             if time < target or math.isinf(event):
                 session.record(time)
@@ -327,6 +367,7 @@ def _tried(
     time: float,
     end: float,
     tolerance: float,
+    halving: Halving,
 ) -> tuple[Trial[Any] | None, float]:
     """A step for a trial, and its scaled error; infinity where it could not be made."""
     smallest = max(
@@ -334,7 +375,10 @@ def _tried(
         SMALLEST_SHARE * (session.stop - session.start),
     )
     try:
-        trial = stepper.attempt(state, time, end)
+        if stepper.halves:
+            trial = _halved(session, stepper, state, time, end, halving)
+        else:
+            trial = stepper.attempt(state, time, end)
         session.ensemble.check(end)
     except (RunEnded, StepDiscarded):
         if end - time <= smallest:
@@ -349,6 +393,125 @@ def _tried(
             f"{session.ensemble.links[trial.worst].name}",
         )
     return trial, error
+
+
+@dataclass
+class Halving:
+    """What is remembered of steps that were made whole and in halves.
+
+    Parameters
+    ----------
+    sizes : array, shape (L,)
+        The largest that each link has been so far.
+    lasting : array, shape (L,)
+        The part of the difference of whole and halves that lasts, when it was looked at last.
+    left : int
+        Accepted steps until it is looked at again.
+    found : float
+        Error of the last step tried, the largest of all links, relative to nominal value plus size.
+    """
+
+    sizes: Floats
+    lasting: Floats
+    left: int
+    found: float = 0.0
+
+    def accepted(self, values: Floats) -> Halving:
+        """After a step that ends with these values of the links, shape (L,)."""
+        left = PROBED if self.left == 0 else self.left - 1
+        return Halving(np.maximum(self.sizes, np.abs(values)), self.lasting, left)
+
+
+def _halved(
+    session: Session,
+    stepper: AdaptiveStepper[Any],
+    state: Any,
+    time: float,
+    end: float,
+    halving: Halving,
+) -> Trial[Any]:
+    """A step made whole, and again in two halves, which are kept; the difference is its error.
+
+    With an error of c h^3 for a step of h, the halves are off by a quarter of that together, and
+    differ from the whole by three times as much (Hairer, Norsett, Wanner, Solving Ordinary
+    Differential Equations I, section II.4). It sees whatever the FMUs make of held inputs, from the
+    first step on.
+
+    Such errors last, and add up where nothing damps them: that of a step may be the share of the
+    tolerance that the step is of the horizon, or a small one if that is larger. Another part of the
+    difference is in proportion to h and passes with the step: outputs that an FMU has computed with
+    the held input rather than with its value at the end. The first half once more in halves tells
+    the two apart.
+
+    Returns
+    -------
+    Trial
+        Its error is relative to nominal value plus size, and over the share of the tolerance that
+        it may have.
+    """
+    ensemble = session.ensemble
+    middle = time + (end - time) / 2.0
+
+    def made(state: Any, start: float, stop: float) -> Trial[Any]:
+        trial = stepper.attempt(state, start, stop)
+        ensemble.check(stop)
+        return trial
+
+    def in_halves(state: Any, start: float, stop: float) -> tuple[Trial[Any], Floats]:
+        """The last trial of two, and the links' values after the first."""
+        between = start + (stop - start) / 2.0
+        first = made(state, start, between)
+        values = ensemble.Y[ensemble.source]
+        if not math.isfinite(first.error):
+            return first, values
+        ensemble.copy_discrete()
+        ensemble.level = 1
+        try:
+            ensemble.save()
+            return made(first.state, between, stop), values
+        finally:
+            ensemble.level = 0
+
+    whole = made(state, time, end)
+    at_end = ensemble.Y[ensemble.source]
+    if not math.isfinite(whole.error):
+        return whole
+    at_middle = None
+    if halving.left == 0:
+        ensemble.restore()
+        quarters, _ = in_halves(state, time, middle)
+        if math.isfinite(quarters.error):
+            at_middle = ensemble.Y[ensemble.source]
+    ensemble.restore()
+    rest, first_half = in_halves(state, time, end)
+    if not at_end.size or not math.isfinite(rest.error):
+        return rest
+    found = ensemble.Y[ensemble.source]
+    difference = found - at_end
+    if at_middle is not None:
+        # a h + b h^3 over the step, a h/2 + b h^3/8 over its half.
+        lasting = np.abs(difference - 2.0 * (at_middle - first_half)) * (4.0 / 3.0)
+        size = np.abs(difference)
+        halving.lasting = np.divide(lasting, size, out=np.ones(len(size)), where=size > lasting)
+    scale = ensemble.nominal + np.maximum(halving.sizes, np.abs(found))
+    relative = np.abs(difference) / (2.0**ORDER_HELD - 1.0) / scale
+    halving.found = float(relative.max())
+    share = max(SHARES * (end - time) / (session.stop - session.start), LEAST_SHARE)
+    allowed = np.maximum(relative * halving.lasting / share, relative / PASSING_SHARE)
+    worst = int(allowed.argmax())
+    order = ORDER_HELD + 1 if share == LEAST_SHARE else ORDER_HELD
+    return Trial(rest.state, float(allowed[worst]), order, worst)
+
+
+def _is_floor(refused: tuple[float, float], length: float, error: float, tolerance: float) -> bool:
+    """Whether a shorter step than the one refused, (length, error), has hardly less of an error,
+    and one that the run can bear."""
+    ratio = length / refused[0]
+    return (
+        error <= PASSING_SHARE * tolerance
+        and ratio <= 0.5
+        and error > refused[1] * ratio**FLOOR_EXPONENT
+    )
 
 
 SAFETY = 0.9

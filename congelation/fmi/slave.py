@@ -59,6 +59,7 @@ class Slave:
         self.log = Log()
         self._states: list[State] = []
         self._broken = False
+        self._is_complete = False
         self._fmu = load(description, name, self.log)
         self._component = ctypes.c_void_p(self._fmu.component)
         if not self._component:
@@ -94,16 +95,32 @@ class Slave:
         """fmi2ExitInitializationMode."""
         self._call("fmi2ExitInitializationMode")
 
+    def complete(self) -> None:
+        """The run has reached its end: fmi2Terminate is called before the instance is reset or
+        freed, so that an FMU that crashes there does so once its results are safe."""
+        self._is_complete = True
+
+    def _terminate(self) -> None:
+        if self._is_complete:
+            self._is_complete = False
+            status = self._function("fmi2Terminate")(self._component)
+            self._broken = self._broken or status >= FATAL
+
     def reset(self) -> None:
         """fmi2Reset: as if instantiated anew; saved states are freed."""
         self.free_states()
+        self._terminate()
         self.log.clear()
+        if self._broken:
+            raise SlaveError(self.name, self.time, "fmi2Terminate returned fmi2Fatal")
         self._call("fmi2Reset")
 
     def close(self) -> None:
         """Free the instance; after fmi2Fatal it is abandoned, as FMI 2.0 demands."""
         if self._component and not self._broken:
             self.free_states()
+            self._terminate()
+        if self._component and not self._broken:
             self._function("fmi2FreeInstance", ctypes.c_void_p, returns=None)(self._component)
         self._component = ctypes.c_void_p()
 
@@ -187,6 +204,9 @@ class Slave:
 
     def step(self, time: float, length: float, no_return: int = 1) -> None:
         """fmi2DoStep from `time`; `no_return` is noSetFMUStatePriorToCurrentPoint.
+
+        It is true also where a saved state may be restored: it lets an FMU flush what it has
+        buffered, while told false some FMUs begin their next step where this one began.
 
         Raises
         ------

@@ -1,10 +1,5 @@
 """An FMU in C that moves derivatives by FMI functions instead of der(.) variables."""
 
-import subprocess
-import zipfile
-from pathlib import Path
-
-import fmpy
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
@@ -14,13 +9,12 @@ from congelation.errors import InvalidInput, SlaveError
 from congelation.fmi.description import describe
 from congelation.fmi.slave import Slave
 
+from .c_fmus import compile_fmu
 from .monolithic import order
-
-SOURCE = Path(__file__).parent / "fmus" / "interpolating.c"
 
 DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 <fmiModelDescription fmiVersion="2.0" modelName="Interpolating" guid="{{1}}">
-  <CoSimulation modelIdentifier="Interpolating" canHandleVariableCommunicationStepSize="{varies}"
+  <CoSimulation modelIdentifier="interpolating" canHandleVariableCommunicationStepSize="{varies}"
     canInterpolateInputs="{interpolates}" maxOutputDerivativeOrder="1"
     canGetAndSetFMUstate="true"/>
   <ModelVariables>
@@ -38,19 +32,11 @@ DESCRIPTION = """<?xml version="1.0" encoding="UTF-8"?>
 
 def build(folder, interpolates, varies="true"):
     """Compile the FMU; it says that it interpolates inputs and varies steps, or not."""
-    library = folder / "Interpolating.so"
-    headers = Path(fmpy.__file__).parent / "c-code"
-    subprocess.run(
-        ["gcc", "-shared", "-fPIC", "-O2", f"-I{headers}", SOURCE, "-lm", "-o", library],
-        check=True,
+    return compile_fmu(
+        folder / f"interpolating_{interpolates}.fmu",
+        "interpolating.c",
+        DESCRIPTION.format(interpolates=interpolates, varies=varies),
     )
-    path = folder / f"Interpolating_{interpolates}.fmu"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.write(library, f"binaries/{fmpy.platform}/Interpolating.so")
-        archive.writestr(
-            "modelDescription.xml", DESCRIPTION.format(interpolates=interpolates, varies=varies)
-        )
-    return path
 
 
 @pytest.fixture(scope="module")
@@ -165,6 +151,9 @@ def test_a_failing_read_ends_the_run(able):
 def test_an_fmu_with_a_fixed_step_is_given_one(tmp_path):
     system = System((Component("a", build(tmp_path, "true", varies="false")),))
     assert simulate(system, stop_time=1.0, step=0.1).completed
+    far = simulate(system, start_time=86400.0, stop_time=86400.7, step=0.1)
+    assert far.completed
+    assert len(far.time) == 8
     for kwargs in ({"step": 0.3}, {"tolerance": 1e-3, "coupling": "hermite"}):
         with pytest.raises(InvalidInput, match=r"component 'a'.*one length only"):
             simulate(system, stop_time=1.0, **kwargs)

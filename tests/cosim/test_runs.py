@@ -56,6 +56,8 @@ def test_many_steps_do_not_drift(fmus):
         (2, 12, 1e-3, 10000),
         (0, 1e4, 1e-3, 10**7),
         (0, 1.0000001, 0.1, 11),
+        (86400, 86400.7, 0.1, 7),
+        (86400, 86400.7001, 0.1, 8),
     ],
 )
 def test_the_step_count(start, stop, step, count):
@@ -106,6 +108,35 @@ def test_integers_booleans_and_strings_are_carried_over(fmus):
     assert result.column("a.n_out").tolist() == [0, 6, 6, 6]
     assert result.column("b.n_out").tolist() == [0, 1, 7, 7]
     assert result.column("b.b_out").tolist() == [0, 1, 1, 1]
+
+
+@pytest.mark.parametrize("coupling", ["jacobi", "gauss_seidel", "derivative"])
+def test_the_order_of_discrete_connections_does_not_matter(fmus, coupling):
+    """A chain a -> b -> c that counts, against a loop written out."""
+    file = fmus / "TestDiscrete.fmu"
+    components = tuple(Component(name, file) for name in "abc")
+    links = (Connection("a.n_out", "b.n_in"), Connection("b.n_out", "c.n_in"))
+    one, two = (
+        simulate(
+            System(components, chosen),
+            stop_time=5.0,
+            step=1.0,
+            coupling=coupling,
+            record=["a.n_out", "b.n_out", "c.n_out"],
+        )
+        for chosen in (links, links[::-1])
+    )
+    given, found, rows = [0, 0, 0], [0, 0, 0], [[0, 0, 0]]
+    for _ in range(5):
+        if coupling == "gauss_seidel":  # each with the newest values there are
+            for m in range(3):
+                given[1:] = found[:2]
+                found[m] = given[m] + 1
+        else:
+            found = [number + 1 for number in given]
+            given[1:] = found[:2]
+        rows.append(list(found))
+    assert one.values.tolist() == two.values.tolist() == rows
 
 
 @pytest.mark.parametrize("coupling", FIXED)

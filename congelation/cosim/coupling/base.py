@@ -91,7 +91,16 @@ class Stepper(ABC, Generic[S]):
 
 
 class AdaptiveStepper(Stepper[S]):
-    """A stepper whose steps carry an error estimate and can be taken back."""
+    """A stepper whose steps carry an error estimate and can be taken back.
+
+    Attributes
+    ----------
+    halves : bool
+        Whether the error of a step is to be found by making it again in two halves, as the
+        inputs cannot follow the polynomials whose error is known.
+    """
+
+    halves: bool
 
     @abstractmethod
     def attempt(self, state: S, time: float, end: float) -> Trial[S]:

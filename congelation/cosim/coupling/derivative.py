@@ -35,7 +35,8 @@ class Derivative(Coupling):
     """Inputs are extrapolated from their value and derivative at the step's start.
 
     Order 2. The derivative is the source's der(.) output, or that of fmi2GetRealOutputDerivatives,
-    or else that of the polynomial through the last values.
+    or else that of the polynomial through the last values. An input that takes a value alone is
+    held at the mean of what it would follow.
 
     Parameters
     ----------
@@ -82,28 +83,41 @@ class _DerivativeStepper(AdaptiveStepper[Points]):
         self._exchange = exchange
         self._reader = LinkReader(ensemble)
         self._sequential = coupling.sequence == "gauss_seidel"
-        # fmi2DoStep's noSetFMUStatePriorToCurrentPoint.
-        self._no_return = int(not takes_back)
         self._watches = not takes_back
         # Loops are solved at every communication point; for plain feedthrough the sequence of
         # the slaves already carries the values over.
         self._exchanges = bool(exchange.loops) or (exchange.feedthrough and not self._sequential)
         self._ahead = [self._interpolated(m) for m in range(len(ensemble.slaves))]
+        self._held = ensemble.order == 0
+        self._has_held = bool(self._held.any())
+        # Outputs that follow at once from a held input belong to its value at the end of the step.
+        self._reaches_end = [
+            not self._exchanges and ensemble.passes_on_held(m) for m in range(len(ensemble.slaves))
+        ]
+        self.halves = self._has_held or bool(self._reader.inexact.size)
         self._watch = Watch(ensemble.nominal, extrapolated=True)
         self.iterations = 0
         self.calls_per_iteration = (
-            sum(ensemble.write_calls) + len(ensemble.slaves) + sum(ensemble.read_calls)
+            sum(ensemble.write_calls)
+            + len(ensemble.slaves)
+            + sum(ensemble.read_calls)
+            + 2 * sum(self._reaches_end)
         )
 
-    def _interpolated(self, m: int) -> tuple[Mask | None, Mask | None] | None:
+    def _interpolated(self, m: int) -> tuple[Mask | None, Mask | None, Mask | None] | None:
         """The links into slave m that can be interpolated, as their sources have stepped already:
-        those that take three derivatives, and those that take fewer."""
+        those that take three derivatives, those that take fewer, and those that take none."""
         stepped = np.array([k.source < k.target == m for k in self._ensemble.links], bool)
         if not self._sequential or not stepped.any():
             return None
         cubic = stepped & (self._ensemble.order == MAX_DERIVATIVE)
-        linear = stepped & ~cubic
-        return (cubic if cubic.any() else None), (linear if linear.any() else None)
+        held = stepped & (self._ensemble.order == 0)
+        linear = stepped & ~cubic & ~held
+        return (
+            cubic if cubic.any() else None,
+            linear if linear.any() else None,
+            held if held.any() else None,
+        )
 
     def start(self, time: float, before: Points | None) -> Points:
         state = Points.begun(time, self._reader.start())
@@ -138,17 +152,31 @@ class _DerivativeStepper(AdaptiveStepper[Points]):
             w[1, reader.inexact] = state.predicted(time, reader.inexact)[1]
         C[:2] = w[:2]
         C[2:] = 0.0
+        if self._has_held:
+            np.copyto(C[0], w[0] + w[1] * (length / 2.0), where=self._held)
+        # Where the inputs are expected to be at the end of the step.
+        ends = w[0] + w[1] * length if self._has_held else w[0]
         for m, slave in enumerate(ensemble.slaves):
             ahead = self._ahead[m]
             if ahead is not None:
                 w[2:] = reader.end(state, end, w)
-                cubic, linear = ahead
+                cubic, linear, held = ahead
                 if cubic is not None:
                     np.copyto(C, hermite(length).dot(w), where=cubic)
                 if linear is not None:
                     np.copyto(C[1], (w[2] - w[0]) / length, where=linear)
+                if held is not None:
+                    np.copyto(C[0], (w[0] + w[2]) / 2.0, where=held)
+                if self._reaches_end[m]:
+                    stepped = [mask for mask in ahead if mask is not None]
+                    np.copyto(ends, w[2], where=np.logical_or.reduce(stepped))
             ensemble.write[m]()
-            slave.step(time, length, self._no_return)
+            slave.step(time, length)
+            if self._reaches_end[m]:
+                columns = ensemble.columns[m]
+                C[0, columns] = ends[columns]
+                C[1:, columns] = 0.0
+                ensemble.write[m]()
             if self._sequential:
                 ensemble.read[m]()
         if not self._sequential:

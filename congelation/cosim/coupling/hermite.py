@@ -37,6 +37,10 @@ ACCELERATIONS = ("broyden", "none")
 SHARE_OF_TOLERANCE = 0.3
 """Of a step's error tolerance, the part left to unfinished iterations."""
 
+SHARE_OF_HALVED = 1e-4
+"""The same where the error of a step is the difference of two solutions: what unfinished iterations
+leave in either must not show in it."""
+
 FIRST_CHANGE = 3e-2
 """Share of its size by which an input may change over the first step that is tried."""
 
@@ -188,13 +192,17 @@ class _HermiteStepper(AdaptiveStepper[HermiteState]):
         self._ensemble = ensemble
         self._coupling = coupling
         self._tolerance = tolerance
-        self._accuracy = coupling.tolerance if tolerance is None else SHARE_OF_TOLERANCE * tolerance
         self._saves = coupling.rolls_back and tolerance is None
-        # fmi2DoStep's noSetFMUStatePriorToCurrentPoint.
-        self._no_return = int(not coupling.rolls_back and tolerance is None)
         self._accelerates = coupling.acceleration == "broyden"
         self._reader = LinkReader(ensemble)
         self._highest = self._highest_order()
+        self.halves = bool((ensemble.order < MAX_DERIVATIVE).any() or self._reader.inexact.size)
+        self._accuracy = coupling.tolerance
+        if tolerance is not None:
+            self._accuracy = tolerance * (SHARE_OF_HALVED if self.halves else SHARE_OF_TOLERANCE)
+        self._unsettled = self._accuracy
+        if tolerance is not None:
+            self._unsettled = tolerance * SHARE_OF_TOLERANCE
         self._feedback = _Feedback(ensemble)
         # Ends of inputs from slaves before their target are known once these have stepped, and
         # enter the polynomials of the same iteration.
@@ -263,6 +271,7 @@ class _HermiteStepper(AdaptiveStepper[HermiteState]):
         # What an input's end does to an output grows with the step, to first order.
         J = state.J * (length / state.length) if state.length > 0.0 else state.J
         z_before = r_before = None
+        change_before = math.inf
         for count in range(1, (coupling.iterations or coupling.max_iterations) + 1):
             if count > 1:
                 self._ensemble.restore()
@@ -286,8 +295,13 @@ class _HermiteStepper(AdaptiveStepper[HermiteState]):
             if accelerates and z_before is not None and r_before is not None:
                 J = learnt(J, z - z_before, r - r_before)
             z_before, r_before = z, r
-            if coupling.iterations is None and change <= self._accuracy:
+            if coupling.iterations is None and (
+                change <= self._accuracy
+                # The FMUs' own accuracy may leave a change that no iteration betters.
+                or (change <= self._unsettled and change > change_before / 2.0)
+            ):
                 break
+            change_before = change
             if coupling.iterations is None and accelerates:
                 w[feedback.given] = (z + broyden_step(J, r)) * scales
             else:
@@ -319,7 +333,7 @@ class _HermiteStepper(AdaptiveStepper[HermiteState]):
             if self._is_low:
                 self._lower(piece.data, length)
             ensemble.write[m]()
-            slave.step(time, length, self._no_return)
+            slave.step(time, length)
             ensemble.read[m]()
             if self._held[m]:
                 # Outputs for the inputs' values at the end, not those held over the step.

@@ -1,0 +1,56 @@
+"""FMUs written in C, compiled for the tests."""
+
+import subprocess
+import zipfile
+from pathlib import Path
+
+import fmpy
+
+SOURCES = Path(__file__).parent / "fmus"
+
+
+def compile_fmu(path: Path, source: str, description: str) -> Path:
+    """An FMU at `path` of one of the C sources in fmus/ and a model description."""
+    library = path.with_suffix(".so")
+    headers = Path(fmpy.__file__).parent / "c-code"
+    subprocess.run(
+        ["gcc", "-shared", "-fPIC", "-O2", f"-I{headers}", SOURCES / source, "-lm", "-o", library],
+        check=True,
+    )
+    identifier = Path(source).stem
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.write(library, f"binaries/{fmpy.platform}/{identifier}.so")
+        archive.writestr("modelDescription.xml", description)
+    return path
+
+
+def plain_fmu(folder: Path, *, declares: bool = False) -> Path:
+    """x' = a x + b1 u1 + b2 u2, y = x + d1 u1 + d2 u2, with held inputs and without derivatives.
+
+    `declares`: whether it says that y follows from no input at once (d1 = d2 = 0).
+    """
+    causalities = {"u1": "input", "u2": "input", "y": "output"}
+    names = ("u1", "u2", "y", "a", "b1", "b2", "d1", "d2", "x0", "grain")
+    variables = "".join(
+        f'<ScalarVariable name="{name}" valueReference="{k}" '
+        + (
+            f'causality="{causalities[name]}">'
+            if name in causalities
+            else 'causality="parameter" variability="fixed">'
+        )
+        + ("<Real/>" if name == "y" else '<Real start="0"/>')
+        + "</ScalarVariable>"
+        for k, name in enumerate(names)
+    )
+    known = ' dependencies=""' if declares else ""
+    return compile_fmu(
+        folder / f"plain_{declares}.fmu",
+        "plain.c",
+        '<?xml version="1.0" encoding="UTF-8"?>'
+        '<fmiModelDescription fmiVersion="2.0" modelName="plain" guid="{2}">'
+        '<CoSimulation modelIdentifier="plain" canHandleVariableCommunicationStepSize="true"'
+        ' canGetAndSetFMUstate="true"/>'
+        f"<ModelVariables>{variables}</ModelVariables>"
+        f'<ModelStructure><Outputs><Unknown index="3"{known}/></Outputs></ModelStructure>'
+        "</fmiModelDescription>",
+    )

@@ -1,0 +1,201 @@
+"""FMUs as most tools write them: inputs are held, derivatives unknown, a tolerance kept."""
+
+import numpy as np
+import pytest
+from scipy.linalg import expm
+
+from congelation.cosim import Component, Connection, SlavePool, System, simulate
+
+from .c_fmus import plain_fmu
+from .monolithic import order
+
+STIFFNESS, MASS, SPEED = 1e5, 100.0, 0.1
+
+
+class Linear:
+    """A system of plain FMUs whose recorded variables y are those of z' = A z.
+
+    The FMU of each component is x' = a x + b1 u1 + b2 u2, y = x + d1 u1 + d2 u2.
+    """
+
+    def __init__(self, parts, links, A, z0, outputs, stop):
+        self.parts, self.links, self.stop = parts, links, stop
+        self.A, self.z0 = np.array(A, float), np.array(z0, float)
+        self.outputs = {name: np.array(row, float) for name, row in outputs.items()}
+
+    def system(self, passing, declaring):
+        """Components that pass inputs on at once use the FMU `passing`, the others `declaring`."""
+        return System(
+            tuple(
+                Component(name, passing if {"d1", "d2"} & start.keys() else declaring, start)
+                for name, start in self.parts.items()
+            ),
+            tuple(Connection.parse(link) for link in self.links),
+        )
+
+    def solution(self, times):
+        """The recorded variables, shape (N, n)."""
+        z = np.array([expm(self.A * t) @ self.z0 for t in times])
+        return z @ np.array(list(self.outputs.values())).T
+
+
+SPRING = Linear(
+    {
+        "mass": {"b1": 1.0 / MASS, "x0": SPEED},
+        "spring": {"b1": 1.0},
+        "force": {"d1": -STIFFNESS},
+    },
+    ["mass.y -> spring.u1", "spring.y -> force.u1", "force.y -> mass.u1"],
+    [[0.0, -STIFFNESS / MASS], [1.0, 0.0]],
+    [SPEED, 0.0],
+    {"mass.y": [1, 0], "spring.y": [0, 1], "force.y": [0, -STIFFNESS]},
+    1.0,
+)
+
+TWO_MASSES = Linear(
+    {
+        "v1": {"a": -0.4, "b1": 1.0},
+        "x1": {"b1": 1.0, "x0": 1.0},
+        "v2": {"a": -0.2, "b1": 1.0},
+        "x2": {"b1": 1.0},
+        "f1": {"d1": -6.0, "d2": 2.0},
+        "f2": {"d1": 4.0, "d2": -4.0},
+    },
+    [
+        "v1.y -> x1.u1",
+        "v2.y -> x2.u1",
+        "x1.y -> f1.u1",
+        "x2.y -> f1.u2",
+        "x1.y -> f2.u1",
+        "x2.y -> f2.u2",
+        "f1.y -> v1.u1",
+        "f2.y -> v2.u1",
+    ],
+    [[0, 1, 0, 0], [-6, -0.4, 2, 0], [0, 0, 0, 1], [4, 0, -4, -0.2]],
+    [1.0, 0.0, 0.0, 0.0],
+    {"x1.y": [1, 0, 0, 0], "v1.y": [0, 1, 0, 0], "x2.y": [0, 0, 1, 0], "v2.y": [0, 0, 0, 1]},
+    10.0,
+)
+
+CHAIN = Linear(
+    {"c": {"b1": 1.0}, "b": {"b1": 1.0}, "a": {"a": -1.0, "x0": 1.0}},
+    ["a.y -> b.u1", "b.y -> c.u1"],
+    [[-1, 0, 0], [1, 0, 0], [0, 1, 0]],
+    [1.0, 0.0, 0.0],
+    {"a.y": [1, 0, 0], "b.y": [0, 1, 0], "c.y": [0, 0, 1]},
+    10.0,
+)
+
+FAST_AND_SLOW = Linear(
+    {"fast": {"a": -200.0, "b1": 200.0}, "slow": {"a": -1.0, "b1": -5.0, "x0": 1.0}},
+    ["slow.y -> fast.u1", "fast.y -> slow.u1"],
+    [[-200, 200], [-5, -1]],
+    [0.0, 1.0],
+    {"fast.y": [1, 0], "slow.y": [0, 1]},
+    5.0,
+)
+
+SYSTEMS = {
+    "spring": SPRING,
+    "two masses": TWO_MASSES,
+    "chain": CHAIN,
+    "fast and slow": FAST_AND_SLOW,
+}
+
+
+@pytest.fixture(scope="module")
+def fmus(tmp_path_factory):
+    """The FMU without declared dependencies, and the one that declares that there are none."""
+    folder = tmp_path_factory.mktemp("plain")
+    return plain_fmu(folder), plain_fmu(folder, declares=True)
+
+
+def run(linear, fmus, **kwargs):
+    """The largest error of any variable relative to its peak, and the result."""
+    system = linear.system(*fmus)
+    result = simulate(system, stop_time=linear.stop, record=list(linear.outputs), **kwargs)
+    assert result.completed, result.message
+    exact = linear.solution(result.time)
+    errors = np.abs(result.values - exact).max(axis=0) / np.abs(exact).max(axis=0)
+    return errors.max(), result
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("coupling", ["hermite", "derivative"])
+@pytest.mark.parametrize("name", SYSTEMS)
+def test_the_error_is_within_ten_times_the_tolerance(fmus, name, coupling, tolerance):
+    error, result = run(SYSTEMS[name], fmus, coupling=coupling, tolerance=tolerance)
+    assert error < 10.0 * tolerance
+    assert result.statistics.estimated_error <= tolerance
+
+
+@pytest.mark.parametrize("coupling", ["hermite", "derivative"])
+def test_without_declared_dependencies_the_error_is_as_small(fmus, coupling):
+    passing, _ = fmus
+    error, _ = run(SPRING, (passing, passing), coupling=coupling, tolerance=1e-3)
+    assert error < 1e-2
+
+
+@pytest.mark.parametrize(("coupling", "steps"), [("hermite", 200), ("derivative", 800)])
+def test_a_force_that_grows_from_zero_takes_few_steps(fmus, coupling, steps):
+    """F(0) = 0 grows to 316 N; five periods of the spring in 1 s."""
+    _, result = run(SPRING, fmus, coupling=coupling, tolerance=1e-3)
+    assert result.statistics.macro_steps < steps
+    assert np.abs(result.column("force.y")).max() == pytest.approx(316.2, rel=2e-2)
+
+
+@pytest.mark.parametrize("coupling", ["hermite", "derivative"])
+def test_the_first_step_is_judged_too(fmus, coupling):
+    """Tried much too long at the start, it is taken back."""
+    error, result = run(TWO_MASSES, fmus, coupling=coupling, tolerance=1e-3, step=5.0)
+    assert result.statistics.rejected >= 1
+    assert result.time[1] < 1.0
+    assert error < 1e-2
+
+
+@pytest.mark.parametrize("name", ["spring", "two masses", "chain"])
+@pytest.mark.parametrize("count", [100, 400, 1600])
+def test_derivative_is_never_worse_than_gauss_seidel(fmus, name, count):
+    linear = SYSTEMS[name]
+    errors = [
+        run(linear, fmus, coupling=coupling, step=linear.stop / count)[0]
+        for coupling in ("derivative", "gauss_seidel")
+    ]
+    assert errors[0] < errors[1]
+
+
+@pytest.mark.parametrize("coupling", ["hermite", "derivative"])
+def test_held_at_their_mean_inputs_are_of_order_two(fmus, coupling):
+    counts = np.array([200, 400, 800])
+    steps = TWO_MASSES.stop / counts
+    errors = [run(TWO_MASSES, fmus, coupling=coupling, step=h)[0] for h in steps]
+    assert order(steps, errors) == pytest.approx(2.0, abs=0.3)
+
+
+@pytest.mark.parametrize("coupling", ["hermite", "derivative"])
+def test_the_accuracy_of_the_fmus_is_a_floor_that_is_told(fmus, coupling):
+    """Outputs rounded to multiples of 1e-3, at a tolerance of 1e-3 over 10 s."""
+    parts = {name: {**start, "grain": 1e-3} for name, start in TWO_MASSES.parts.items()}
+    rough = Linear(
+        parts, TWO_MASSES.links, TWO_MASSES.A, TWO_MASSES.z0, TWO_MASSES.outputs, TWO_MASSES.stop
+    )
+    error, result = run(rough, fmus, coupling=coupling, tolerance=1e-3)
+    assert result.statistics.floors > 0
+    assert "the accuracy of the FMUs, not the step, limited the error" in result.message
+    assert error < 2e-2
+    assert result.statistics.macro_steps < 5000
+
+
+def test_a_completed_run_is_terminated_and_an_instance_reset_only_for_the_next(
+    fmus, tmp_path, monkeypatch
+):
+    notes = tmp_path / "notes"
+    notes.touch()
+    monkeypatch.setenv("PLAIN_FMU_NOTES", str(notes))
+    system = System((Component("a", fmus[0]),))
+    with SlavePool() as pool:
+        assert simulate(system, stop_time=1.0, step=0.5, pool=pool).completed
+        assert notes.read_text() == ""
+        assert simulate(system, stop_time=1.0, step=0.5, pool=pool).completed
+        assert notes.read_text() == "TR"
+    assert notes.read_text() == "TRT"
