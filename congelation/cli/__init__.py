@@ -1,7 +1,8 @@
 """The command line: ``congelation COMMAND``; every command is a thin layer over the packages.
 
-Exit codes: 0 done; 1 a run failed or a check did not hold; 2 the input or the usage is wrong;
-130 interrupted. What a user can set right is one line on stderr, never a traceback.
+Exit codes: 0 done; 1 a run failed or a check did not hold; 2 the input or the usage is wrong; 3 a
+certificate is violated; 130 interrupted. What a user can set right is one line on stderr, never a
+traceback.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from congelation.cli.design import attack
 from congelation.cli.designs import certify
 from congelation.cli.results import export, ls, report, show
 from congelation.cli.runs import export_ssp, run, sweep
@@ -28,7 +30,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (run, sweep, report, ls, show, export, certify, check):
+for command in (run, sweep, report, ls, show, export, certify, attack, check):
     app.command()(command)
 app.command("export-ssp")(export_ssp)
 

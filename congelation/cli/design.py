@@ -1,0 +1,134 @@
+"""Commands that search: `attack`, `tune`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+from congelation.cli.shared import FAILED, INTERRUPTED, complain, print_table
+from congelation.design.attack import OBJECTIVES, Attack, Find
+from congelation.design.attack import attack as search
+from congelation.design.late import SETTLED
+from congelation.design.playback import write_finds
+from congelation.places import check_folder
+from congelation.scenario.load import load_scenario
+
+__all__ = ["VIOLATED", "attack"]
+
+VIOLATED = 3
+"""Exit code where a certified variant breaks its certificate."""
+
+
+def attack(
+    scenario: Annotated[Path, typer.Argument(help="Scenario (.toml).", show_default=False)],
+    objective: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="peak, ise or late (|x| after it had settled), or a metric of the scenario "
+            "(repeatable).",
+            show_default="peak, ise, late",
+        ),
+    ] = None,
+    variant: Annotated[
+        list[str] | None, typer.Option(help="Only this variant (repeatable).", show_default="all")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Where the finds go, as scenarios.",
+            metavar="DIR",
+            show_default="results/<scenario>_attack",
+        ),
+    ] = None,
+    effort: Annotated[
+        float, typer.Option(min=0.01, help="1: half a minute per variant and objective.")
+    ] = 1.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the random starts.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
+) -> None:
+    """Search for the theta(t) that does most harm; exit code 3 if it breaks a certificate."""
+    folder = out if out is not None else Path("results") / f"{scenario.stem}_attack"
+    check_folder("--out", folder)
+    try:
+        found = _with_progress(scenario, objective, variant, effort, seed, workers)
+    except KeyboardInterrupt as error:
+        complain("interrupted")
+        raise typer.Exit(INTERRUPTED) from error
+    files = write_finds(found, folder)
+    print_table(
+        f"{found.scenario.title}: the worst theta(t) found (lower bounds on the worst case)",
+        ["value", "jumps", "margin", "|z|^2", "<= 2 V(0)", "decay", "<= V(0)"],
+        [(f"{find.variant}, {find.objective}", _cells(find)) for find in found.finds],
+    )
+    for find in found.finds:
+        if (line := _burst(find)) is not None:
+            print(line)
+    for file in files:
+        print(file)
+    for line in found.missed:
+        complain(line)
+    for find in found.violated:
+        complain(
+            f"{find.variant}: {find.objective}: the certificate fails along the find: margin "
+            f"{find.margin:.2e} of the terms of V'"
+        )
+    if found.violated:
+        raise typer.Exit(VIOLATED)
+    if found.missed:
+        raise typer.Exit(FAILED)
+
+
+def _with_progress(
+    scenario: Path,
+    objectives: list[str] | None,
+    variants: list[str] | None,
+    effort: float,
+    seed: int,
+    workers: int,
+) -> Attack:
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        tasks: dict[tuple[str, str], object] = {}
+
+        def show(variant: str, objective: str, done: float, best: float) -> None:
+            task = (variant, objective)
+            text = escape(f"{variant}, {objective}: {best:.4g}")
+            if task not in tasks:
+                tasks[task] = bar.add_task(text, total=1.0)
+            bar.update(tasks[task], completed=done, description=text)  # type: ignore[arg-type]
+
+        return search(
+            load_scenario(scenario),
+            objectives=objectives or OBJECTIVES,
+            variants=variants,
+            effort=effort,
+            seed=seed,
+            workers=workers,
+            progress=show,
+        )
+
+
+def _cells(find: Find) -> list[str]:
+    line = [f"{find.value:.4g}", str(len(find.cells.theta) - 1), f"{find.margin:.1e}"]
+    if find.bound is None:
+        return [*line, "", "no certificate", "", ""]
+    bound = find.bound
+    numbers = (2 * bound.energy, 2 * bound.V0, bound.decay, bound.V0)
+    return [*line, *(f"{number:.4g}" for number in numbers)]
+
+
+def _burst(find: Find) -> str | None:
+    """One line on a late find."""
+    if find.struck is None or find.growth is None:
+        return None
+    if find.value <= SETTLED:
+        return f"{find.variant}: no burst found once |x| had settled below {SETTLED:g}"
+    return (
+        f"{find.variant}: settled, struck at {find.struck:.4g} s, bursts to {find.value:.4g} "
+        f"(with the estimates frozen the loop grows at {find.growth:.3g} 1/s)"
+    )
