@@ -62,9 +62,11 @@ def attack(
     files = write_finds(found, folder)
     print_table(
         f"{found.scenario.title}: the worst theta(t) found (lower bounds on the worst case)",
-        ["value", "jumps", "margin", "|z|^2", "<= 2 V(0)", "decay", "<= V(0)"],
+        ["value", "jumps", "margin", "|z|^2", "decay"],
         [(f"{find.variant}, {find.objective}", _cells(find)) for find in found.finds],
     )
+    if any(find.bound is not None for find in found.finds):
+        print("|z|^2 <= 2 V(0) and decay = int sum c_i z_i^2 dt <= V(0): what the certificate bounds")
     for find in found.finds:
         if (line := _burst(find)) is not None:
             print(line)
@@ -116,10 +118,10 @@ def _with_progress(
 def _cells(find: Find) -> list[str]:
     line = [f"{find.value:.4g}", str(len(find.cells.theta) - 1), f"{find.margin:.1e}"]
     if find.bound is None:
-        return [*line, "", "no certificate", "", ""]
+        return [*line, "no bound", "no bound"]
     bound = find.bound
-    numbers = (2 * bound.energy, 2 * bound.V0, bound.decay, bound.V0)
-    return [*line, *(f"{number:.4g}" for number in numbers)]
+    energy = f"{2 * bound.energy:.4g} <= {2 * bound.V0:.4g}"
+    return [*line, energy, f"{bound.decay:.4g} <= {bound.V0:.4g}"]
 
 
 def _burst(find: Find) -> str | None:

@@ -143,7 +143,9 @@ class _Stage:
             last = int(outside[-1]) + 1 if outside.size else 0
             if not path.finished or last >= len(path.time) - 1:
                 continue
-            first = max(float(path.time[last]), self.start + 0.01 * self.length)
+            unit = 10 ** (math.floor(math.log10(self.length)) - 3)
+            first = self.start + unit * math.ceil((float(path.time[last]) - self.start) / unit)
+            first = max(first, self.start + 0.01 * self.length)
             ends = {first, self.start + REST * self.length}
             if first < self.start + self.length:
                 ends.add(self.start + self.length)

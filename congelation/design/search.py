@@ -283,7 +283,7 @@ class Search:
                 if changed:
                     break
         candidate = self._by_times(candidate)
-        digits = 3 - math.floor(math.log10(self._span[1] - self._span[0]))
+        digits = 4 - math.floor(math.log10(self._span[1] - self._span[0]))
         edges = candidate.cells.edges.copy()
         edges[1:-1] = np.round(edges[1:-1], digits)
         if np.all(np.diff(edges) > 0):
