@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from congelation.cli.design import attack
+from congelation.cli.design import attack, tune
 from congelation.cli.designs import certify
 from congelation.cli.results import export, ls, report, show
 from congelation.cli.runs import export_ssp, run, sweep
@@ -30,7 +30,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (run, sweep, report, ls, show, export, certify, attack, check):
+for command in (run, sweep, report, ls, show, export, certify, attack, tune, check):
     app.command()(command)
 app.command("export-ssp")(export_ssp)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -15,10 +16,13 @@ from congelation.design.attack import OBJECTIVES, Attack, Find
 from congelation.design.attack import attack as search
 from congelation.design.late import SETTLED
 from congelation.design.playback import write_finds
+from congelation.design.tune import Proposal, Tuning, write_proposals
+from congelation.design.tune import tune as search_gains
+from congelation.errors import InvalidInput
 from congelation.places import check_folder
 from congelation.scenario.load import load_scenario
 
-__all__ = ["VIOLATED", "attack"]
+__all__ = ["VIOLATED", "attack", "tune"]
 
 VIOLATED = 3
 """Exit code where a certified variant breaks its certificate."""
@@ -66,7 +70,9 @@ def attack(
         [(f"{find.variant}, {find.objective}", _cells(find)) for find in found.finds],
     )
     if any(find.bound is not None for find in found.finds):
-        print("|z|^2 <= 2 V(0) and decay = int sum c_i z_i^2 dt <= V(0): what the certificate bounds")
+        print(
+            "|z|^2 <= 2 V(0) and decay = int sum c_i z_i^2 dt <= V(0): what the certificate bounds"
+        )
     for find in found.finds:
         if (line := _burst(find)) is not None:
             print(line)
@@ -133,4 +139,86 @@ def _burst(find: Find) -> str | None:
     return (
         f"{find.variant}: settled, struck at {find.struck:.4g} s, bursts to {find.value:.4g} "
         f"(with the estimates frozen the loop grows at {find.growth:.3g} 1/s)"
+    )
+
+
+def tune(
+    spec: Annotated[Path, typer.Argument(help="Spec (.toml).", show_default=False)],
+    settling: Annotated[
+        float | None, typer.Option(help="Wish: |x| settled after so many seconds.")
+    ] = None,
+    effort: Annotated[float | None, typer.Option(help="Wish: int u^2 dt at most this.")] = None,
+    peak_input: Annotated[float | None, typer.Option(help="Wish: max |u| at most this.")] = None,
+    below: Annotated[float, typer.Option(help="Settled: |x| stays below this.")] = 1e-2,
+    stop_time: Annotated[float, typer.Option(help="Seconds to solve.")] = 20.0,
+    evaluations: Annotated[int, typer.Option(min=10, help="Designs to try.")] = 600,
+    seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Where the designs tried and the proposals go.",
+            metavar="DIR",
+            show_default="results/<spec>_tune",
+        ),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Take the designs tried from the folder.")
+    ] = False,
+) -> None:
+    """Search for gains that meet a wish, or without one beat the spec's own; exit 1 if not met."""
+    if not below > 0.0 or not stop_time > 0.0:
+        raise InvalidInput(f"--below {below:g} --stop-time {stop_time:g}; valid: positive numbers")
+    folder = out if out is not None else Path("results") / f"{spec.stem}_tune"
+    check_folder("--out", folder)
+    named = {"settling": settling, "effort": effort, "peak_input": peak_input}
+    try:
+        with Progress(
+            TextColumn("{task.description}"), BarColumn(), console=Console(stderr=True)
+        ) as bar:
+            task = bar.add_task("designs tried", total=evaluations)
+            found = search_gains(
+                spec,
+                wishes={name: value for name, value in named.items() if value is not None},
+                below=below,
+                stop_time=stop_time,
+                evaluations=evaluations,
+                seed=seed,
+                workers=workers,
+                journal=folder / "designs.jsonl",
+                resume=resume,
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+    except KeyboardInterrupt as error:
+        complain("interrupted; go on with --resume")
+        raise typer.Exit(INTERRUPTED) from error
+    _print_tuning(found, write_proposals(found, folder))
+    if found.unmet:
+        for line in found.unmet:
+            complain(line)
+        raise typer.Exit(FAILED)
+
+
+def _print_tuning(found: Tuning, files: list[Path]) -> None:
+    lines = [(f"{found.spec.stem}, as it is", [*_numbers(found.own), ""])]
+    lines += [
+        (file.stem, [*_numbers(p.objectives), "holds" if p.certified else "violated"])
+        for file, p in zip(files, found.front, strict=True)
+    ]
+    print_table(
+        f"{found.spec}: {found.evaluations} designs tried; the first is the nearest to the wish",
+        ["settling, s", "int u^2 dt", "max |u|", "certificate"],
+        lines,
+    )
+    for file, proposal in zip(files, found.front, strict=True):
+        print(f"{file}: {_gains(proposal)}")
+
+
+def _numbers(objectives: Mapping[str, float]) -> list[str]:
+    return [f"{value:.4g}" for value in objectives.values()]
+
+
+def _gains(proposal: Proposal) -> str:
+    return ", ".join(
+        f"{name} = {value.squeeze().tolist()}" for name, value in proposal.values.items()
     )

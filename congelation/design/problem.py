@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -17,12 +17,13 @@ from numpy.typing import NDArray
 from congelation.design.shooting import Cells
 from congelation.errors import InvalidInput, nearest
 from congelation.scenario.scenario import Case, Scenario
+from congelation.signals import Profile
 from congelation.theory.certificate import Certificate, PerturbationSet
 from congelation.theory.closed_loop import ClosedLoop
 from congelation.verify.certify import certificate_of
 from congelation.verify.reference import Reference, reference
 
-__all__ = ["Admissible", "Problem", "problem_of"]
+__all__ = ["Admissible", "Problem", "held", "problem_of"]
 
 Floats = NDArray[np.float64]
 
@@ -162,21 +163,30 @@ class Problem:
         cell : float
             The longest cell, in seconds.
         """
-        found, start = self.reference, self.span[0]
-        edges = {start, end}
-        edges |= set(np.arange(start, end, cell).tolist())
-        for profile in found.profiles:
-            time = start
-            while (time := profile.next_event(time)) < end:
-                edges.add(time)
-        grid = np.array(sorted(edges))
-        grid = grid[np.append(np.diff(grid) > 1e-6 * cell, True)]
-        middles = (grid[:-1] + grid[1:]) / 2
-        theta = np.array([[p.value(t) for p in found.profiles] for t in middles])
-        held = self.admissible.center[None, :] + np.zeros_like(theta)
-        varies = self.admissible.half > 0.0
-        held[:, varies] = (theta + np.array(found.offsets))[:, varies]
-        return Cells(grid, held).merged()
+        own = held(self.reference.profiles, self.span[0], end, cell)
+        return Cells(own.edges, own.theta + np.array(self.reference.offsets)).merged()
+
+
+def held(profiles: Sequence[Profile], start: float, end: float, cell: float) -> Cells:
+    """theta(t) held at its value in the middle of cells, which end at its jumps too.
+
+    Parameters
+    ----------
+    profiles : sequence of Profile
+    start, end : float
+        Seconds.
+    cell : float
+        The longest cell, in seconds.
+    """
+    edges = {end, *np.arange(start, end, cell).tolist()}
+    for profile in profiles:
+        time = start
+        while (time := profile.next_event(time)) < end:
+            edges.add(time)
+    grid = np.array(sorted(edges))
+    grid = grid[np.append(np.diff(grid) > 1e-6 * cell, True)]
+    middles = (grid[:-1] + grid[1:]) / 2
+    return Cells(grid, np.array([[p.value(t) for p in profiles] for t in middles]))
 
 
 def problem_of(scenario: Scenario, variant: str) -> Problem:
@@ -218,11 +228,6 @@ def problem_of(scenario: Scenario, variant: str) -> Problem:
             "profile, or a positive delta"
         )
     return Problem(variant, case, found, Admissible(center, half, ball))
-
-
-def with_stop_time(case: Case, stop: float) -> Case:
-    """A case that runs until another time."""
-    return replace(case, experiment=replace(case.experiment, stop_time=stop))
 
 
 def _ball(loop: ClosedLoop, p: int) -> PerturbationSet:

@@ -185,6 +185,7 @@ class Shooting:
         *,
         first_step: float = 1e-3,
         longest: float = math.inf,
+        most_steps: int = MOST_STEPS,
     ) -> Path:
         """The solution from a state at the first edge to the last edge.
 
@@ -197,6 +198,8 @@ class Shooting:
             Seconds; later steps follow from the error.
         longest : float
             Largest step, in seconds.
+        most_steps : int
+            Where the solution is given up.
         """
         step, n = self._step, len(start) + 1
         Y = np.append(start, 0.0)
@@ -214,7 +217,7 @@ class Shooting:
                 error = found[n]
                 if not error <= 1.0:  # also where it is not a number
                     h = taken * (max(0.2, 0.9 * error**-0.2) if error < math.inf else 0.1)
-                    if t + h == t or len(times) > MOST_STEPS:
+                    if t + h == t or len(times) > most_steps:
                         finished = False
                     continue
                 t = end if taken == left else t + taken
@@ -225,7 +228,7 @@ class Shooting:
                 sizes.append(float(found[n + 1]))
                 growth = min(5.0, 0.9 * max(error, 1e-10) ** -0.2)
                 h = min(longest, max(h, taken * growth) if taken < h else taken * growth)
-                finished = bool(np.abs(Y[:-1]).max() < LARGEST) and len(times) <= MOST_STEPS
+                finished = bool(np.abs(Y[:-1]).max() < LARGEST) and len(times) <= most_steps
             if not finished:
                 break
         return Path(
