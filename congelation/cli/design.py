@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
@@ -215,7 +216,7 @@ def _print_tuning(found: Tuning, files: list[Path]) -> None:
 
 
 def _numbers(objectives: Mapping[str, float]) -> list[str]:
-    return [f"{value:.4g}" for value in objectives.values()]
+    return [f"{v:.4g}" if v < math.inf else "never" for v in objectives.values()]
 
 
 def _gains(proposal: Proposal) -> str:

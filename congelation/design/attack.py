@@ -367,7 +367,7 @@ def _find(
     after = time >= (trial.struck or -math.inf)
     rows = np.linspace(0, len(time) - 1, min(len(time), 2000)).round().astype(int)
     try:
-        design = Design(problem.variant, problem.loop, 0.0)
+        design = Design(problem.variant, problem.loop, problem.admissible.radius)
         certified = certify(design, CERTIFY_SAMPLES, job.seed).holds
         ell = problem.admissible.center
         margins = problem.certificate.along(solution.states[rows], ell)

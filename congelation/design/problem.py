@@ -52,6 +52,11 @@ class Admissible:
     def is_box(self) -> bool:
         return self.ball is None
 
+    @property
+    def radius(self) -> float:
+        """Of the smallest ball about the center that holds the set."""
+        return float(np.linalg.norm(self.half)) if self.ball is None else self.ball.delta
+
     def worst(self, gradient: Floats) -> Floats:
         """The theta of the set with the largest gradient . theta; shape (p,)."""
         if self.ball is None:

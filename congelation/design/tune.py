@@ -86,7 +86,8 @@ class Proposal:
     values : mapping
         The parameters that differ from the spec's, by name, in their shape.
     objectives : mapping
-        By `OBJECTIVES`, from a solution with rtol 1e-10 under the spec's own theta(t).
+        By `OBJECTIVES`, from a solution with rtol 1e-10 under the spec's own theta(t); a settling
+        time is infinite where the design has not settled by the stop time.
     certified : bool
         Whether a search found no violation of its certificate.
     """
@@ -149,6 +150,7 @@ def tune(
     stop_time: float = 20.0,
     evaluations: int = 600,
     seed: int = 0,
+    proposals: int = 6,
     workers: int = 1,
     journal: Path | None = None,
     resume: bool = False,
@@ -170,6 +172,8 @@ def tune(
         Candidates to solve.
     seed : int
         Equal seeds give equal candidates.
+    proposals : int
+        Most designs of the front to propose.
     workers : int
         Processes.
     journal : Path, optional
@@ -186,7 +190,9 @@ def tune(
     """
     bench = _Bench(spec, below, stop_time)
     own = bench.exact(np.zeros(bench.dimension))
-    wanted = _wishes(wishes, own)
+    # A design that does not settle is asked to do so by the stop time.
+    asked = (min(own[0], stop_time), *own[1:])
+    wanted = _wishes(wishes, asked)
     key = {
         "spec": hashlib.sha256(spec.read_bytes()).hexdigest(),
         "below": below,
@@ -203,7 +209,7 @@ def tune(
                 workers, get_context("spawn"), _open_bench, (spec, below, stop_time)
             )
         try:
-            for share, goal in zip(SHARES, _goals(wanted, own), strict=True):
+            for share, goal in zip(SHARES, _goals(wanted, asked), strict=True):
                 _descend(bench, goal, int(share * evaluations), seed, pool, book, told)
         finally:
             if pool is not None:
@@ -212,9 +218,9 @@ def tune(
     if not points:
         raise InvalidInput(f"{spec}: no candidate could be solved for {stop_time:g} s")
     values = np.array([o for _, o in points])
-    front = [points[i][0] for i in _front(values, wanted)]
-    proposals = [bench.proposal(v) for v in front]
-    certified = [p for p in proposals if p.certified] or proposals
+    front = [points[i][0] for i in _front(values, wanted, proposals)]
+    proposed = [bench.proposal(v) for v in front]
+    certified = [p for p in proposed if p.certified] or proposed
     nearest = min(
         certified, key=lambda p: _achievement([p.objectives[n] for n in OBJECTIVES], wanted)
     )
@@ -295,7 +301,11 @@ class _Bench:
         if not path.finished:
             return None
         x = path.states[:, : len(self.spec.plant.model.states[0].variables.names)]
-        return self._objectives(path.time, x, path.integral, path.peak)
+        settling, *others = self._objectives(path.time, x, path.integral, path.peak)
+        if math.isinf(settling):  # so that the search sees which of two is nearer
+            end = float(np.linalg.norm(x[-1]))
+            settling = self.stop * (1.0 + math.log(max(end / self.below, 1.0)))
+        return settling, *others
 
     def exact(self, vector: Floats) -> tuple[float, ...]:
         """The objectives under theta(t) itself, by DOP853."""
@@ -332,8 +342,6 @@ class _Bench:
         self, time: Floats, x: Floats, effort: float, peak: float
     ) -> tuple[float, float, float]:
         settling = float(METRICS["settling_time"].evaluate(time, x, below=self.below) or 0.0)
-        if math.isinf(settling):  # so that the search sees which of two is nearer
-            settling = self.stop * (1.0 + math.log(float(np.linalg.norm(x[-1])) / self.below))
         return settling, effort, peak
 
 
@@ -459,7 +467,7 @@ def _wishes(wishes: Mapping[str, float] | None, own: Sequence[float]) -> dict[st
     return dict(wishes)
 
 
-def _front(values: Floats, wishes: Mapping[str, float], most: int = 6) -> list[int]:
+def _front(values: Floats, wishes: Mapping[str, float], most: int) -> list[int]:
     """Indices of some designs that no other beats: the nearest to the wishes, and others apart."""
     logs = np.log(np.maximum(values, 1e-12))
     kept = [
