@@ -15,6 +15,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 from congelation.cli.shared import FAILED, INTERRUPTED, complain, print_table
 from congelation.design.attack import OBJECTIVES, Attack, Find
 from congelation.design.attack import attack as search
+from congelation.design.foreign import attack_fmus as search_fmus
 from congelation.design.late import SETTLED
 from congelation.design.playback import write_finds
 from congelation.design.tune import Proposal, Tuning, write_proposals
@@ -39,6 +40,15 @@ def attack(
             show_default="peak, ise, late",
         ),
     ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Instead of theta(t), of any FMUs: a free input or a parameter and its bounds "
+            "(repeatable).",
+            metavar="COMPONENT.VARIABLE=LOW..HIGH",
+            show_default=False,
+        ),
+    ] = None,
     variant: Annotated[
         list[str] | None, typer.Option(help="Only this variant (repeatable).", show_default="all")
     ] = None,
@@ -60,7 +70,7 @@ def attack(
     folder = out if out is not None else Path("results") / f"{scenario.stem}_attack"
     check_folder("--out", folder)
     try:
-        found = _with_progress(scenario, objective, variant, effort, seed, workers)
+        found = _with_progress(scenario, objective, vary, variant, effort, seed, workers)
     except KeyboardInterrupt as error:
         complain("interrupted")
         raise typer.Exit(INTERRUPTED) from error
@@ -95,6 +105,7 @@ def attack(
 def _with_progress(
     scenario: Path,
     objectives: list[str] | None,
+    vary: list[str] | None,
     variants: list[str] | None,
     effort: float,
     seed: int,
@@ -111,8 +122,19 @@ def _with_progress(
                 tasks[task] = bar.add_task(text, total=1.0)
             bar.update(tasks[task], completed=done, description=text)  # type: ignore[arg-type]
 
+        loaded = load_scenario(scenario)
+        if vary:
+            return search_fmus(
+                loaded,
+                dict(map(_bounds, vary)),
+                objectives=objectives or (),
+                variants=variants,
+                effort=effort,
+                seed=seed,
+                progress=show,
+            )
         return search(
-            load_scenario(scenario),
+            loaded,
             objectives=objectives or OBJECTIVES,
             variants=variants,
             effort=effort,
@@ -122,8 +144,20 @@ def _with_progress(
         )
 
 
+def _bounds(text: str) -> tuple[str, tuple[float, float]]:
+    """``component.variable=low..high``, read."""
+    name, _, bounds = text.partition("=")
+    low, _, high = bounds.partition("..")
+    try:
+        return name.strip(), (float(low), float(high))
+    except ValueError:
+        raise InvalidInput(
+            f"--vary {text}: write it as component.variable=LOW..HIGH, e.g. plant.dtheta[1]=-1..1"
+        ) from None
+
+
 def _cells(find: Find) -> list[str]:
-    line = [f"{find.value:.4g}", str(len(find.cells.theta) - 1), f"{find.margin:.1e}"]
+    line = [f"{find.value:.4g}", str(len(find.cells.theta) - 1), "" if math.isnan(find.margin) else f"{find.margin:.1e}"]
     if find.bound is None:
         return [*line, "no bound", "no bound"]
     bound = find.bound

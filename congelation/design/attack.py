@@ -9,6 +9,7 @@ split at the jumps, and dropped where the two differ.
 from __future__ import annotations
 
 import math
+import pathlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
@@ -20,7 +21,7 @@ from numpy.typing import NDArray
 
 from congelation.design.free import maximise
 from congelation.design.late import SETTLED, strikes
-from congelation.design.problem import Problem, problem_of
+from congelation.design.problem import Problem, Varied, problem_of
 from congelation.design.search import Search
 from congelation.design.shooting import Cells, Path, Shooting
 from congelation.errors import InvalidInput, nearest
@@ -128,11 +129,17 @@ class Attack:
         Variant by variant, objective by objective.
     missed : tuple of str
         One line for each variant and objective without a find, and why.
+    varied : tuple of Varied
+        What was varied in place of theta(t).
+    source : Path or None
+        The FMU that drove inputs; None where theta(t) was attacked.
     """
 
     scenario: Scenario
     finds: tuple[Find, ...]
     missed: tuple[str, ...]
+    varied: tuple[Varied, ...] = ()
+    source: pathlib.Path | None = None
 
     @property
     def violated(self) -> tuple[Find, ...]:

@@ -41,6 +41,8 @@ def maximise(
     seed: int,
     more: Callable[[], bool],
     progress: Callable[[float], None] = lambda best: None,
+    inside: bool = False,
+    constant: NDArray[np.bool_] | None = None,
 ) -> list[Cells]:
     """The best theta(t), best first.
 
@@ -56,11 +58,22 @@ def maximise(
         Whether there is effort left.
     progress : callable
         Called with the best value so far.
+    inside : bool
+        Whether values inside a box are tried, too: where theta may not enter affinely.
+    constant : ndarray of bool, shape (p,), optional
+        Elements that keep one value for all time.
     """
     found: list[tuple[float, int, Cells]] = []
 
     def fall(vector: Floats, pieces: int) -> float:
-        cells = _cells(vector, pieces, admissible, span)
+        edges, directions = _pieces(vector, pieces, span)
+        if inside:
+            theta = admissible.center + admissible.half * np.tanh(directions)
+        else:  # a worst theta is an extreme point, and the direction says which
+            theta = np.array([admissible.worst(row) for row in directions])
+        if constant is not None:
+            theta[:, constant] = theta[0, constant]
+        cells = Cells(edges, theta).merged()
         score = value(cells)
         found.append((score if score == score else -math.inf, -len(found), cells))
         progress(max(found)[0])
@@ -68,8 +81,10 @@ def maximise(
             -min(found[-1][0], LARGE) if math.isfinite(found[-1][0]) or score == math.inf else LARGE
         )
 
-    for theta in admissible.extremes:
-        fall(np.concatenate([[0.0], _place(theta, admissible)]), 1)
+    for corner in admissible.extremes:
+        # Far out in the direction of the corner, which is the corner either way.
+        scale = np.where(admissible.half > 0.0, admissible.half, 1.0)
+        fall(np.concatenate([[0.0], 20.0 * (corner - admissible.center) / scale]), 1)
     for k, pieces in enumerate(PIECES):
         best = max(found)
         if not more() or best[0] == math.inf:
@@ -88,18 +103,10 @@ def maximise(
     return [cells for _, _, cells in found[:KEPT]]
 
 
-def _cells(vector: Floats, pieces: int, admissible: Admissible, span: tuple[float, float]) -> Cells:
-    """The theta(t) of a vector: logarithms of relative lengths, then a direction for each piece."""
+def _pieces(vector: Floats, pieces: int, span: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Edges of pieces, whose relative lengths the vector has the logarithms of, and directions."""
     weights = np.exp(np.clip(vector[:pieces], -6.0, 6.0))
-    edges = (
-        span[0] + (span[1] - span[0]) * np.concatenate([[0.0], np.cumsum(weights)]) / weights.sum()
-    )
+    shares = np.concatenate([[0.0], np.cumsum(weights)]) / weights.sum()
+    edges = span[0] + (span[1] - span[0]) * shares
     edges[-1] = span[1]
-    directions = vector[pieces:].reshape(pieces, -1)
-    # The worst theta is an extreme point; the direction says which.
-    return Cells(edges, np.array([admissible.worst(row) for row in directions])).merged()
-
-
-def _place(theta: Floats, admissible: Admissible) -> Floats:
-    direction: Floats = theta - admissible.center
-    return direction
+    return edges, vector[pieces:].reshape(pieces, -1)

@@ -23,7 +23,7 @@ from congelation.theory.closed_loop import ClosedLoop
 from congelation.verify.certify import certificate_of
 from congelation.verify.reference import Reference, reference
 
-__all__ = ["Admissible", "Problem", "held", "problem_of"]
+__all__ = ["Admissible", "Problem", "Varied", "held", "problem_of"]
 
 Floats = NDArray[np.float64]
 
@@ -98,6 +98,24 @@ class Admissible:
             for sign in (-1.0, 1.0) if half > 0.0 else ():
                 middles.append(self.center + sign * half * np.eye(len(self.center))[j])
         return np.unique(np.vstack([self.extremes, *middles]), axis=0)
+
+
+@dataclass(frozen=True)
+class Varied:
+    """An input or a parameter that is to be varied between two values."""
+
+    component: str
+    variable: str
+    low: float
+    high: float
+    is_input: bool
+
+    @property
+    def source(self) -> str:
+        """Name of the component that drives it."""
+        return f"source_{self.component}_{self.variable}".translate(
+            str.maketrans("[],.()", "______")
+        )
 
 
 @dataclass(frozen=True)
