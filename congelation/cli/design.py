@@ -157,7 +157,11 @@ def _bounds(text: str) -> tuple[str, tuple[float, float]]:
 
 
 def _cells(find: Find) -> list[str]:
-    line = [f"{find.value:.4g}", str(len(find.cells.theta) - 1), "" if math.isnan(find.margin) else f"{find.margin:.1e}"]
+    line = [
+        f"{find.value:.4g}",
+        str(len(find.cells.theta) - 1),
+        "" if math.isnan(find.margin) else f"{find.margin:.1e}",
+    ]
     if find.bound is None:
         return [*line, "no bound", "no bound"]
     bound = find.bound

@@ -25,6 +25,7 @@ from congelation.design.problem import Problem, Varied, problem_of
 from congelation.design.search import Search
 from congelation.design.shooting import Cells, Path, Shooting
 from congelation.errors import InvalidInput, nearest
+from congelation.scenario.load import load_scenario
 from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import MetricSpec, Scenario
 from congelation.theory.certificate import ROUNDING
@@ -148,7 +149,7 @@ class Attack:
 
 
 def attack(
-    scenario: Scenario,
+    scenario: Scenario | pathlib.Path | str,
     *,
     objectives: Sequence[str] = OBJECTIVES,
     variants: Sequence[str] | None = None,
@@ -161,7 +162,7 @@ def attack(
 
     Parameters
     ----------
-    scenario : Scenario
+    scenario : Scenario or path
         A loop of a plant and its controller. Admissible is the box that the profile of theta fills;
         where it is constant, the ball of radius delta about it.
     objectives : sequence of str
@@ -183,6 +184,8 @@ def attack(
     InvalidInput
         If an objective or variant is unknown, or the scenario is no such loop.
     """
+    if not isinstance(scenario, Scenario):
+        scenario = load_scenario(pathlib.Path(scenario))
     names = [v.name for v in scenario.variants]
     for name in variants or ():
         if name not in names:

@@ -143,7 +143,7 @@ class Tuning:
 
 
 def tune(
-    spec: Path,
+    spec: Path | str,
     *,
     wishes: Mapping[str, float] | None = None,
     below: float = 1e-2,
@@ -160,7 +160,7 @@ def tune(
 
     Parameters
     ----------
-    spec : Path
+    spec : path
         A spec; its x0, theta(t) and delta stay as they are.
     wishes : mapping, optional
         Upper bounds by `OBJECTIVES`; the spec's own settling and effort where left out.
@@ -188,6 +188,7 @@ def tune(
     InvalidInput
         If the spec or a wish is not valid, or the journal is of another search.
     """
+    spec = Path(spec)
     bench = _Bench(spec, below, stop_time)
     own = bench.exact(np.zeros(bench.dimension))
     # A design that does not settle is asked to do so by the stop time.

@@ -157,7 +157,7 @@ def test_the_worst_theta_of_a_ball_respects_the_bound_on_one_element() -> None:
 def test_what_cannot_be_attacked_is_said_in_one_line() -> None:
     scenario = load_scenario(FIG2)
     with pytest.raises(InvalidInput, match="'peaks' is no objective; did you mean 'peak'"):
-        attack(scenario, objectives=["peaks"])
+        attack(FIG2, objectives=["peaks"])
     with pytest.raises(InvalidInput, match="'Controller 3' is no variant"):
         attack(scenario, variants=["Controller 3"])
 
