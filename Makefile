@@ -37,7 +37,7 @@ fmus/manifest.json: .venv/installed $(SOURCES)
 
 fmus: fmus/manifest.json
 
-DEMO := scalar fig1 fig2 fig3 fig3_r11
+DEMO := scalar fig1 fig2 fig3 fig3_r11 strike
 
 demo: fmus
 	@for name in $(DEMO); do \

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from congelation.cli.design import attack, tune
 from congelation.cli.designs import build, certify, examples, info, new
 from congelation.cli.results import export, ls, report, show
 from congelation.cli.runs import export_ssp, run, sweep
@@ -38,6 +39,8 @@ for command in (
     build,
     info,
     certify,
+    attack,
+    tune,
     run,
     sweep,
     report,

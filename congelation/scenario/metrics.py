@@ -110,9 +110,10 @@ def norm(values: Array) -> Array:
     return scaled * scale[:, 0]
 
 
-def peak(time: Array, values: Array) -> float:
-    """max |v(t)|, the L_infinity norm."""
-    return float(np.max(norm(values)))
+def peak(time: Array, values: Array, *, after: float = -math.inf) -> float | None:
+    """max |v(t)|, the L_infinity norm, from `after` (s) on; None where nothing is left."""
+    chosen = time >= after
+    return float(np.max(norm(values[chosen]))) if chosen.any() else None
 
 
 def settling_time(time: Array, values: Array, *, below: float) -> float:
@@ -192,7 +193,10 @@ def _times(suffix: str, power: str = "") -> Callable[[str], str]:
 
 _BUILT_IN = (
     Metric(
-        "peak", peak, "max_t |v(t)|, the L_inf norm (Desoer and Vidyasagar 1975, ch. II)", _same
+        "peak",
+        peak,
+        "max_t |v(t)| for t >= after, the L_inf norm (Desoer and Vidyasagar 1975, ch. II)",
+        _same,
     ),
     Metric(
         "settling_time",

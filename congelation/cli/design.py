@@ -1,0 +1,260 @@
+"""Commands that search: `attack`, `tune`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
+
+from congelation.cli.shared import FAILED, INTERRUPTED, VIOLATED, complain, print_table
+from congelation.design.attack import OBJECTIVES, Attack, Find
+from congelation.design.attack import attack as search
+from congelation.design.foreign import attack_fmus as search_fmus
+from congelation.design.late import SETTLED
+from congelation.design.playback import write_finds
+from congelation.design.tune import Proposal, Tuning, write_proposals
+from congelation.design.tune import tune as search_gains
+from congelation.errors import InvalidInput
+from congelation.places import check_folder
+from congelation.scenario.load import load_scenario
+
+__all__ = ["attack", "tune"]
+
+
+def attack(
+    scenario: Annotated[Path, typer.Argument(help="Scenario (.toml).", show_default=False)],
+    objective: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="peak, ise or late (|x| after it had settled), or a metric of the scenario "
+            "(repeatable).",
+            show_default="peak, ise, late",
+        ),
+    ] = None,
+    vary: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Instead of theta(t), of any FMUs: a free input or a parameter and its bounds "
+            "(repeatable).",
+            metavar="COMPONENT.VARIABLE=LOW..HIGH",
+            show_default=False,
+        ),
+    ] = None,
+    variant: Annotated[
+        list[str] | None, typer.Option(help="Only this variant (repeatable).", show_default="all")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Where the finds go, as scenarios.",
+            metavar="DIR",
+            show_default="results/<scenario>_attack",
+        ),
+    ] = None,
+    effort: Annotated[
+        float, typer.Option(min=0.01, help="1: half a minute per variant and objective.")
+    ] = 1.0,
+    seed: Annotated[int, typer.Option(min=0, help="Of the random starts.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
+) -> None:
+    """Search for the theta(t) that does most harm; exit code 3 if it breaks a certificate."""
+    folder = out if out is not None else Path("results") / f"{scenario.stem}_attack"
+    check_folder("--out", folder)
+    try:
+        found = _with_progress(scenario, objective, vary, variant, effort, seed, workers)
+    except KeyboardInterrupt as error:
+        complain("interrupted")
+        raise typer.Exit(INTERRUPTED) from error
+    files = write_finds(found, folder)
+    print_table(
+        f"{found.scenario.title}: the worst theta(t) found (lower bounds on the worst case)",
+        ["value", "jumps", "margin", "|z|^2", "decay"],
+        [(f"{find.variant}, {find.objective}", _cells(find)) for find in found.finds],
+    )
+    if any(find.bound is not None for find in found.finds):
+        print(
+            "|z|^2 <= 2 V(0) and decay = int sum c_i z_i^2 dt <= V(0): what the certificate bounds"
+        )
+    for find in found.finds:
+        if (line := _burst(find)) is not None:
+            print(line)
+    for file in files:
+        print(file)
+    for line in found.missed:
+        complain(line)
+    for find in found.violated:
+        complain(
+            f"{find.variant}: {find.objective}: the certificate fails along the find: margin "
+            f"{find.margin:.2e} of the terms of V'"
+        )
+    if found.violated:
+        raise typer.Exit(VIOLATED)
+    if found.missed:
+        raise typer.Exit(FAILED)
+
+
+def _with_progress(
+    scenario: Path,
+    objectives: list[str] | None,
+    vary: list[str] | None,
+    variants: list[str] | None,
+    effort: float,
+    seed: int,
+    workers: int,
+) -> Attack:
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        tasks: dict[tuple[str, str], object] = {}
+
+        def show(variant: str, objective: str, done: float, best: float) -> None:
+            task = (variant, objective)
+            text = escape(f"{variant}, {objective}: {best:.4g}")
+            if task not in tasks:
+                tasks[task] = bar.add_task(text, total=1.0)
+            bar.update(tasks[task], completed=done, description=text)  # type: ignore[arg-type]
+
+        loaded = load_scenario(scenario)
+        if vary:
+            return search_fmus(
+                loaded,
+                dict(map(_bounds, vary)),
+                objectives=objectives or (),
+                variants=variants,
+                effort=effort,
+                seed=seed,
+                progress=show,
+            )
+        return search(
+            loaded,
+            objectives=objectives or OBJECTIVES,
+            variants=variants,
+            effort=effort,
+            seed=seed,
+            workers=workers,
+            progress=show,
+        )
+
+
+def _bounds(text: str) -> tuple[str, tuple[float, float]]:
+    """``component.variable=low..high``, read."""
+    name, _, bounds = text.partition("=")
+    low, _, high = bounds.partition("..")
+    try:
+        return name.strip(), (float(low), float(high))
+    except ValueError:
+        raise InvalidInput(
+            f"--vary {text}: write it as component.variable=LOW..HIGH, e.g. plant.dtheta[1]=-1..1"
+        ) from None
+
+
+def _cells(find: Find) -> list[str]:
+    line = [
+        f"{find.value:.4g}",
+        str(len(find.cells.theta) - 1),
+        "" if math.isnan(find.margin) else f"{find.margin:.1e}",
+    ]
+    if find.bound is None:
+        return [*line, "no bound", "no bound"]
+    bound = find.bound
+    energy = f"{2 * bound.energy:.4g} <= {2 * bound.V0:.4g}"
+    return [*line, energy, f"{bound.decay:.4g} <= {bound.V0:.4g}"]
+
+
+def _burst(find: Find) -> str | None:
+    """One line on a late find."""
+    if find.struck is None or find.growth is None:
+        return None
+    if find.value <= SETTLED:
+        return f"{find.variant}: no burst found once |x| had settled below {SETTLED:g}"
+    return (
+        f"{find.variant}: settled, struck at {find.struck:.4g} s, bursts to {find.value:.4g} "
+        f"(with the estimates frozen the loop grows at {find.growth:.3g} 1/s)"
+    )
+
+
+def tune(
+    spec: Annotated[Path, typer.Argument(help="Spec (.toml).", show_default=False)],
+    settling: Annotated[
+        float | None, typer.Option(help="Wish: |x| settled after so many seconds.")
+    ] = None,
+    effort: Annotated[float | None, typer.Option(help="Wish: int u^2 dt at most this.")] = None,
+    peak_input: Annotated[float | None, typer.Option(help="Wish: max |u| at most this.")] = None,
+    below: Annotated[float, typer.Option(help="Settled: |x| stays below this.")] = 1e-2,
+    stop_time: Annotated[float, typer.Option(help="Seconds to solve.")] = 20.0,
+    evaluations: Annotated[int, typer.Option(min=10, help="Designs to try.")] = 600,
+    seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 0,
+    workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Where the designs tried and the proposals go.",
+            metavar="DIR",
+            show_default="results/<spec>_tune",
+        ),
+    ] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Take the designs tried from the folder.")
+    ] = False,
+) -> None:
+    """Search for gains that meet a wish, or without one beat the spec's own; exit 1 if not met."""
+    if not below > 0.0 or not stop_time > 0.0:
+        raise InvalidInput(f"--below {below:g} --stop-time {stop_time:g}; valid: positive numbers")
+    folder = out if out is not None else Path("results") / f"{spec.stem}_tune"
+    check_folder("--out", folder)
+    named = {"settling": settling, "effort": effort, "peak_input": peak_input}
+    try:
+        with Progress(
+            TextColumn("{task.description}"), BarColumn(), console=Console(stderr=True)
+        ) as bar:
+            task = bar.add_task("designs tried", total=evaluations)
+            found = search_gains(
+                spec,
+                wishes={name: value for name, value in named.items() if value is not None},
+                below=below,
+                stop_time=stop_time,
+                evaluations=evaluations,
+                seed=seed,
+                workers=workers,
+                journal=folder / "designs.jsonl",
+                resume=resume,
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+    except KeyboardInterrupt as error:
+        complain("interrupted; go on with --resume")
+        raise typer.Exit(INTERRUPTED) from error
+    _print_tuning(found, write_proposals(found, folder))
+    if found.unmet:
+        for line in found.unmet:
+            complain(line)
+        raise typer.Exit(FAILED)
+
+
+def _print_tuning(found: Tuning, files: list[Path]) -> None:
+    lines = [(f"{found.spec.stem}, as it is", [*_numbers(found.own), ""])]
+    lines += [
+        (file.stem, [*_numbers(p.objectives), "holds" if p.certified else "violated"])
+        for file, p in zip(files, found.front, strict=True)
+    ]
+    print_table(
+        f"{found.spec}: {found.evaluations} designs tried; the first is the nearest to the wish",
+        ["settling, s", "int u^2 dt", "max |u|", "certificate"],
+        lines,
+    )
+    for file, proposal in zip(files, found.front, strict=True):
+        print(f"{file}: {_gains(proposal)}")
+
+
+def _numbers(objectives: Mapping[str, float]) -> list[str]:
+    return [f"{v:.4g}" if v < math.inf else "never" for v in objectives.values()]
+
+
+def _gains(proposal: Proposal) -> str:
+    return ", ".join(
+        f"{name} = {value.squeeze().tolist()}" for name, value in proposal.values.items()
+    )

@@ -1,0 +1,233 @@
+"""Settle, then strike: the theta(t) that makes a loop burst after it has come to rest.
+
+Shooting at the peak misses such bursts, because the gradient at a state near 0 is small. So: let
+the loop settle under a theta(t) that moves the estimates, freeze the estimates, and look for a
+theta, or for two between which it switches, under which the linear loop that is left grows; strike
+with that.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import expm
+
+from congelation.design.problem import Problem
+from congelation.design.search import Candidate, Search
+from congelation.design.shooting import Cells, Path, Shooting
+from congelation.theory.closed_loop import Compiled
+
+__all__ = ["SETTLED", "Strike", "strikes"]
+
+Floats = NDArray[np.float64]
+
+SETTLED = 1e-2
+"""|v| below which a loop counts as settled, if it stays there."""
+
+REST = 2.5
+"""How long the loop may settle, in spans of the scenario."""
+
+OWN_CELLS = 400
+"""Cells per span on which the scenario's own theta(t) is held."""
+
+STRUCK = 6
+"""Strikes, those of the fastest growth, that are simulated; the best is then refined."""
+
+NEAR = 0.98
+"""Of strikes whose values differ by less, relatively, the earliest is refined."""
+
+ESTIMATES = ("theta_hat", "rho_hat")
+"""States that stay where they are when the others are at rest."""
+
+SWITCHING = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
+"""Durations of the two phases of a switching theta, in seconds per unit of the loop's own time."""
+
+
+@dataclass(frozen=True)
+class Strike:
+    """A theta(t) that lets the loop settle until `time`, in seconds, and then strikes.
+
+    `value` is max |v| from then on; `growth` the rate, in 1/s, at which the loop with the estimates
+    that it had then grows: not positive where no growth was found.
+    """
+
+    value: float
+    cells: Cells
+    path: Path
+    time: float
+    growth: float
+
+
+class _Frozen:
+    """The linear loop that is left when all but the estimates are at rest."""
+
+    def __init__(self, problem: Problem) -> None:
+        loop = problem.loop
+        names = [n.split("[")[0].partition(".")[2] for n in loop.state_names]
+        self._moving = np.array([n not in ESTIMATES for n in names])
+        X, theta = loop.arguments
+        (f,) = loop.bind([loop.rate])
+        rows = np.flatnonzero(self._moving).tolist()
+        self._slope = Compiled([ca.jacobian(f, X)[rows, rows]], [X, theta])
+        self.extremes = problem.admissible.extremes
+
+    def matrices(self, state: Floats) -> list[Floats]:
+        """A(theta) at each extreme theta, for the estimates of a state."""
+        rest = np.where(self._moving, 0.0, state)
+        n = int(self._moving.sum())
+        return [self._slope(rest, theta).reshape(n, n).T for theta in self.extremes]
+
+    def growth(self, state: Floats, length: float) -> list[tuple[float, Floats, Floats]]:
+        """(rate, thetas, durations) of the fastest growth, under one theta and under two.
+
+        The rate under two in turn is that of the largest Floquet multiplier.
+        """
+        matrices = self.matrices(state)
+        found: list[tuple[float, Floats, Floats]] = []
+        for theta, A in zip(self.extremes, matrices, strict=True):
+            rate = float(np.linalg.eigvals(A).real.max())
+            found.append((rate, theta[None, :], np.array([length])))
+        best = max(found, key=lambda one: one[0])
+        unit = (
+            2
+            * math.pi
+            / max(1e-9, max(float(np.abs(np.linalg.eigvals(A)).max()) for A in matrices))
+        )
+        flows = {(i, d): expm(A * d * unit) for i, A in enumerate(matrices) for d in SWITCHING}
+        two = (-math.inf, np.zeros((0, 0)), np.zeros(0))
+        for i, j in itertools.combinations(range(len(matrices)), 2):
+            for d, e in itertools.product(SWITCHING, repeat=2):
+                multiplier = float(np.abs(np.linalg.eigvals(flows[j, e] @ flows[i, d])).max())
+                rate = math.log(max(multiplier, 1e-300)) / ((d + e) * unit)
+                if rate > two[0]:
+                    two = (rate, self.extremes[[i, j]], np.array([d, e]) * unit)
+        # Switching counts where it beats either theta alone by more than the grid's coarseness.
+        return [best, two] if two[0] > best[0] + 1e-3 * abs(best[0]) else [best]
+
+
+@dataclass(frozen=True)
+class _Settled:
+    """A theta(t) under which the loop has settled by its end."""
+
+    cells: Cells
+    path: Path
+
+
+class _Stage:
+    def __init__(self, problem: Problem, shooting: Shooting) -> None:
+        self.problem, self.shooting = problem, shooting
+        start, stop = problem.span
+        self.start, self.length = start, stop - start
+
+    @cached_property
+    def settling(self) -> list[Cells]:
+        """theta(t) to settle under: the scenario's own, and constants."""
+        end = self.start + REST * self.length
+        own = self.problem.own_profile(end, self.length / OWN_CELLS)
+        edges = np.array([self.start, end])
+        return [own, *(Cells(edges, theta[None, :]) for theta in self.problem.admissible.lattice)]
+
+    def settled(self) -> list[_Settled]:
+        """Each of these up to when the loop has settled under it, and up to the end."""
+        found = []
+        for cells in self.settling:
+            path = self.shooting.solve(self.problem.start, cells)
+            outside = np.flatnonzero(path.size > SETTLED**2)
+            last = int(outside[-1]) + 1 if outside.size else 0
+            if not path.finished or last >= len(path.time) - 1:
+                continue
+            unit = 10 ** (math.floor(math.log10(self.length)) - 3)
+            first = self.start + unit * math.ceil((float(path.time[last]) - self.start) / unit)
+            first = max(first, self.start + 0.01 * self.length)
+            ends = {first, self.start + REST * self.length}
+            if first < self.start + self.length:
+                ends.add(self.start + self.length)
+            for end in sorted(ends):
+                found.append(_Settled(cells.until(end), path))
+        return found
+
+    def strike(self, settled: _Settled, thetas: Floats, durations: Floats) -> Cells:
+        """theta(t) of the strike, for a span of the scenario."""
+        start = float(settled.cells.edges[-1])
+        edges, k = [start], 0
+        while edges[-1] < start + self.length:
+            edges.append(min(edges[-1] + float(durations[k % len(durations)]), start + self.length))
+            k += 1
+        return Cells(np.array(edges), thetas[np.arange(k) % len(thetas)])
+
+
+def strikes(
+    problem: Problem,
+    shooting: Shooting,
+    *,
+    steps: int,
+    seed: int = 0,
+    progress: Callable[[float, float], None] = lambda done, best: None,
+) -> list[Strike]:
+    """The bursts found after the loop had settled, the largest first; empty if it never settles.
+
+    Parameters
+    ----------
+    problem : Problem
+    shooting : Shooting
+        Of the signals that settle; its `atol` has to be far below |v| when the loop is struck.
+    steps : int
+        Runge-Kutta steps to spend on the refinement of the strike.
+    seed : int
+    progress : callable
+        As in `Search`.
+    """
+    stage, frozen = _Stage(problem, shooting), _Frozen(problem)
+    ranked = []
+    for settled in stage.settled():
+        state = _at(shooting, problem.start, settled)
+        for rate, thetas, durations in frozen.growth(state, stage.length):
+            ranked.append((rate, settled, state, thetas, durations))
+    ranked.sort(key=lambda one: -one[0])
+    tried: list[tuple[Strike, Floats, Cells]] = []
+    for rate, settled, state, thetas, durations in ranked[:STRUCK]:
+        cells = stage.strike(settled, thetas, durations)
+        path = shooting.solve(state, cells)
+        time = float(cells.edges[0])
+        tried.append((Strike(path.peak, settled.cells.then(cells), path, time, rate), state, cells))
+        progress(0.3 * len(tried) / STRUCK, max(s.value for s, _, _ in tried))
+    if not tried:
+        return []
+    tried.sort(key=lambda one: -one[0].value)
+    # An early strike meets a larger state, which tolerances disturb less.
+    near = [one for one in tried if one[0].value >= NEAR * tried[0][0].value]
+    best, state, cells = min(near, key=lambda one: one[0].time)
+    if best.growth <= 0.0:
+        return [s for s, _, _ in tried]
+    span = (best.time, best.time + stage.length)
+    search = Search(
+        shooting,
+        problem.admissible,
+        state,
+        span,
+        peak=True,
+        steps=steps,
+        seed=seed,
+        progress=lambda done, value: progress(0.3 + 0.7 * done, value),
+    )
+    refined = [_joined(best, c) for c in search.run((cells,))]
+    return [*sorted(refined, key=lambda s: -s.value), *(s for s, _, _ in tried)]
+
+
+def _at(shooting: Shooting, start: Floats, settled: _Settled) -> Floats:
+    """The loop's states when it is struck."""
+    path: Path = shooting.solve(start, settled.cells)
+    state: Floats = path.states[-1, :-1]
+    return state
+
+
+def _joined(best: Strike, found: Candidate) -> Strike:
+    settled = best.cells.until(best.time)
+    return Strike(found.value, settled.then(found.cells), found.path, best.time, best.growth)

@@ -1,0 +1,67 @@
+"""Inputs and parameters of FMUs attacked by runs alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from congelation.sweep.run import run_scenario
+
+from congelation.design.foreign import attack_fmus
+from congelation.design.playback import write_finds
+from congelation.errors import InvalidInput
+from congelation.scenario.load import load_scenario
+from congelation.scenario.scenario import Scenario
+from tests.scenarios import FMUS, SCALAR, write
+
+SOURCE = FMUS / "ScalarPlant.fmu"
+
+
+@pytest.fixture
+def scenario(tmp_path: Path) -> Scenario:
+    return load_scenario(write(tmp_path, SCALAR, ("step = 0.01", "step = 0.02")))
+
+
+def test_input_and_parameter_that_do_most_harm_are_played_again(
+    scenario: Scenario, tmp_path: Path
+) -> None:
+    """x' = -theta x + u: the least theta and the least gain make the peak largest."""
+    vary = {"plant.dtheta[1]": (-1.0, 1.0), "controller.k_bar": (0.25, 0.5)}
+    found = attack_fmus(
+        scenario,
+        vary,
+        objectives=["peak_x"],
+        variants=["Controller 2"],
+        effort=0.1,
+        source=SOURCE,
+    )
+    assert found.missed == ()
+    (find,) = found.finds
+    (own,) = (
+        row["peak_x"]
+        for row in run_scenario(scenario, tmp_path / "own").read().rows
+        if row["variant"] == "Controller 2"
+    )
+    assert find.value > own
+    (file,) = write_finds(found, tmp_path / "finds")
+    played = load_scenario(file)
+    assert any(c.name.startswith("source_plant") for c in played.system.components)
+    rows = run_scenario(played, tmp_path / "played").read().rows
+    (again,) = (row["peak_x"] for row in rows if row["variant"] == "Controller 2")
+    assert again == pytest.approx(find.value, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds", "message"),
+    [
+        ("plant.dthetas[1]", (0.0, 1.0), "is no Real input or parameter"),
+        ("plants.x", (0.0, 1.0), "no component 'plants'; did you mean 'plant'"),
+        ("plant.u", (0.0, 1.0), "is driven by 'controller.u -> plant.u'"),
+        ("plant.dtheta[1]", (1.0, 1.0), "give a lower and a higher number"),
+    ],
+)
+def test_what_cannot_be_varied_is_said(
+    scenario: Scenario, name: str, bounds: tuple[float, float], message: str
+) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        attack_fmus(scenario, {name: bounds}, objectives=["peak_x"], source=SOURCE)

@@ -1,0 +1,56 @@
+"""Tuning improves on the paper's gains, certified, and goes on where it stopped."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from congelation.design.tune import tune, write_proposals
+from congelation.errors import InvalidInput
+from congelation.export.spec import read_spec
+from congelation.verify.certify import certify, designs_of
+from tests.scenarios import ROOT
+
+SPEC = ROOT / "specs" / "state_feedback.toml"
+
+
+@pytest.mark.slow
+def test_a_proposal_beats_the_papers_gains_in_settling_and_effort(tmp_path: Path) -> None:
+    found = tune(SPEC, evaluations=100, proposals=2)
+    assert found.own["settling"] == pytest.approx(1.8, rel=0.01)
+    assert found.own["effort"] == pytest.approx(2.0e4, rel=0.03)
+    assert found.nearest.objectives["settling"] < 1.8
+    assert found.nearest.objectives["effort"] < 1.9e4
+    assert found.unmet == ()
+    for file in write_proposals(found, tmp_path):
+        read_spec(file)
+        (design,) = designs_of(file)
+        assert certify(design, 300).holds
+
+
+def test_a_wish_that_cannot_be_met_is_said_with_the_nearest() -> None:
+    found = tune(
+        SPEC, wishes={"settling": 1e-3, "effort": 1.0}, evaluations=20, stop_time=5.0, proposals=1
+    )
+    assert len(found.unmet) == 2
+    assert found.unmet[0].startswith("settling = 0.001: the nearest design has ")
+
+
+def test_a_search_goes_on_from_its_journal(tmp_path: Path) -> None:
+    file = tmp_path / "designs.jsonl"
+    options = {"evaluations": 20, "stop_time": 5.0, "journal": file, "proposals": 1}
+    whole = tune(SPEC, **options)
+    lines = file.read_text().splitlines()
+    file.write_text("\n".join([*lines[:6], lines[6][:9]]))  # killed while it wrote a line
+    with pytest.raises(InvalidInput, match="--resume"):
+        tune(SPEC, **options)
+    resumed = tune(SPEC, **options, resume=True)
+    assert resumed.nearest.objectives == whole.nearest.objectives
+    with pytest.raises(InvalidInput, match="another spec or horizon"):
+        tune(SPEC, **{**options, "stop_time": 6.0}, resume=True)
+
+
+def test_a_wish_has_to_be_positive() -> None:
+    with pytest.raises(InvalidInput, match="wish effort = -1"):
+        tune(SPEC, wishes={"effort": -1.0})
