@@ -27,7 +27,7 @@ from congelation.results.records import Row
 from congelation.results.store import Store
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
-from congelation.scenario.ssp import read_ssp, write_ssp
+from congelation.scenario.ssp import write_ssp
 from congelation.sweep.batch import run_sweep
 from congelation.sweep.estimate import estimate
 from congelation.sweep.executors import Cluster, Processes, Workers
@@ -58,7 +58,7 @@ def run(
     """Run all variants of a scenario: summary, trajectories and figures."""
     folder = out if out is not None else Path("results") / scenario.stem
     try:
-        store = _run_with_progress(_read(scenario), folder, verify)
+        store = _run_with_progress(load_scenario(scenario), folder, verify)
     except KeyboardInterrupt as error:
         complain("interrupted")
         raise typer.Exit(INTERRUPTED) from error
@@ -117,7 +117,9 @@ def sweep(
     if ship and scheduler is None:
         raise InvalidInput("--ship needs a --scheduler to send FMUs to; processes here have them")
     again = [as_status(status) for status in retry or ()]
-    plan = plan_sweep(_read(scenario), folder, resume=bool(resume or dry_run or again), retry=again)
+    plan = plan_sweep(
+        load_scenario(scenario), folder, resume=bool(resume or dry_run or again), retry=again
+    )
     place = _place(plan, workers or 1, scheduler, ship=ship)
     try:
         _announce(plan, place, folder, measured=dry_run or len(plan.missing) >= MEASURED)
@@ -149,10 +151,6 @@ def export_ssp(
     """Write a scenario as a system that other tools can open: SSP 1.0 with the FMUs inside."""
     write_ssp(load_scenario(scenario), file, variant, derivatives=derivatives)
     print(file)
-
-
-def _read(file: Path) -> Scenario:
-    return read_ssp(file) if file.suffix == ".ssp" else load_scenario(file)
 
 
 def _place(plan: Plan, workers: int, scheduler: str | None, *, ship: bool) -> Workers:

@@ -39,7 +39,7 @@ from pathlib import Path
 
 import numpy as np
 
-from congelation.errors import nearest
+from congelation import keys
 from congelation.export.defaults import check_defaults
 from congelation.export.equations import Special
 from congelation.export.forms import FORMS, Form, Structure
@@ -50,9 +50,6 @@ from congelation.theory.model import Model
 from congelation.toml import Section, read_document
 
 __all__ = ["FmuSpec", "Spec", "read_spec"]
-
-LARGEST_ORDER = 100
-"""Of n, m and p: what the recursions derive outgrows any memory long before."""
 
 Units = Mapping[str, str | list[str]]
 
@@ -102,15 +99,13 @@ def read_spec(file: Path) -> Spec:
         Naming the file, the path in it, and what would be valid.
     """
     _, top = read_document(file)
-    top.only(("title", "form", "structure", "units", "plant", "controller")).require("form")
-    name = top.text("form")
-    if name not in FORMS:
-        raise top.error("form", f"= '{name}' is not known; {nearest(name, FORMS)}")
+    read = top.read(keys.SPEC)
+    name: str = read["form"]
     form = FORMS[name]
-    structure = _structure(top.section("structure"), form)
+    structure = _structure(read["structure"], form)
     plant, controller, special = top.attempt("structure", lambda: form.models(structure))
-    units = _units(top.section("units"), plant, controller)
-    sections = top.section("plant"), top.section("controller")
+    units = _units(read["units"], plant, controller)
+    sections = read["plant"], read["controller"]
     blocks = (
         _plant(sections[0], form.plant_folder, plant.with_units(units), file.parent),
         _block(sections[1], form.controller_folder, controller.with_units(units), special),
@@ -119,27 +114,22 @@ def read_spec(file: Path) -> Spec:
         raise sections[1].error(
             "name", f"= '{blocks[1].name}' is the plant's too; give the two FMUs different names"
         )
-    return Spec(top.text("title", file.stem), name, structure, *blocks)
+    return Spec(read["title"] or file.stem, name, structure, *blocks)
 
 
 def _structure(section: Section, form: Form) -> Structure:
     section.only(form.keys).require(*(key for key in form.keys if key not in form.optional))
     structure: dict[str, object] = dict(form.optional)
     for key in section.data:
-        structure[key] = _READERS[key](section, key)
+        value = section.value(keys.STRUCTURE[key])
+        reader = _READERS.get(key)
+        structure[key] = value if reader is None else reader(section, key)
     return structure
-
-
-def _order(section: Section, key: str) -> int:
-    value = section.data[key]
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= LARGEST_ORDER:
-        raise section.wrong(key, f"a whole number up to {LARGEST_ORDER}")
-    return value
 
 
 def _phibar(section: Section, key: str) -> list[list[list[float]]]:
     """phibar_{i,j} of (10) from a table ``"i,j" = [..p numbers..]``; those left out are 0."""
-    n, p = _order(section, "n"), _order(section, "p")
+    n, p = (section.value(keys.STRUCTURE[name]) for name in ("n", "p"))
     phibar = np.zeros((n, n, p))
     table = section.section(key)
     valid = [f"{i},{j}" for i in range(1, n + 1) for j in range(1, i + 1)]
@@ -165,19 +155,7 @@ def _numbers(section: Section, key: str) -> object:
     return numbers.tolist()
 
 
-def _text(section: Section, key: str) -> str:
-    return section.text(key)
-
-
-_READERS = {
-    "n": _order,
-    "m": _order,
-    "p": _order,
-    "phibar": _phibar,
-    "A": _numbers,
-    "B": _numbers,
-    "filter": _text,
-}
+_READERS = {"phibar": _phibar, "A": _numbers, "B": _numbers}
 
 
 def _units(section: Section, *models: Model) -> Units:
@@ -199,11 +177,11 @@ def _units(section: Section, *models: Model) -> Units:
 
 
 def _block(section: Section, folder: str, model: Model, special: Special | None) -> FmuSpec:
-    section.only(("name", "start"))
-    name = section.text("name", model.name)
+    read = section.read(keys.CONTROLLER)
+    name: str = read["name"] or model.name
     if not name.isidentifier():
         raise section.wrong("name", "a C identifier: letters, digits and _")
-    start = section.section("start")
+    start: Section = read["start"]
     changed = start.attempt("", lambda: model.with_defaults(start.data))
     # An FMU whose own defaults it would refuse is not built.
     start.attempt("", lambda: check_defaults(model, start.data, special))
@@ -211,11 +189,10 @@ def _block(section: Section, folder: str, model: Model, special: Special | None)
 
 
 def _plant(section: Section, folder: str, model: Model, base: Path) -> FmuSpec:
-    section.only(("name", "start", "profile"))
-    own = {key: value for key, value in section.data.items() if key != "profile"}
-    block = _block(Section(section.file, section.path, own), folder, model, None)
+    profile: Section = section.read(keys.PLANT)["profile"]
+    block = _block(section.without("profile"), folder, model, None)
     names = model.theta.names if model.theta is not None else ()
-    table = section.section("profile").only(names)
+    table = profile.only(names)
     profiles = tuple(_profile(table, name, base) for name in names)
     return replace(block, profiles=tuple(ProfileSlots(p, _slots(p)) for p in profiles))
 

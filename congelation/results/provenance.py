@@ -11,7 +11,8 @@ from typing import Any
 from congelation.fmi.description import Description, describe
 from congelation.results.identity import code_version
 from congelation.scenario.metrics import metric
-from congelation.scenario.scenario import MetricSpec, Scenario
+from congelation.scenario.parts import MetricSpec
+from congelation.scenario.scenario import Scenario
 
 __all__ = ["about"]
 
@@ -26,7 +27,7 @@ def about(scenario: Scenario, varied: Sequence[str]) -> dict[str, Any]:
     descriptions = {c.name: describe(c.fmu) for c in scenario.system.components}
     return {
         "title": scenario.title,
-        "scenario_file": scenario.file.name,
+        "scenario_file": scenario.file.name if scenario.file is not None else "",
         "scenario": scenario.text,
         "varied": list(varied),
         "metrics": {spec.name: _about_metric(spec, descriptions) for spec in scenario.metrics},

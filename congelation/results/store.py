@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,14 +21,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from congelation.errors import CongelationError, InvalidInput, nearest
+from congelation.errors import InvalidInput, nearest
+from congelation.places import StoreError, discard, replace_whole
 from congelation.results.records import Row, Study, Trajectory
 
 __all__ = ["Store", "StoreError", "replace_whole"]
-
-
-class StoreError(CongelationError):
-    """A result that cannot be written; the text names the file and the reason."""
 
 
 _METADATA = b"congelation"
@@ -88,7 +85,7 @@ class Store:
             _write_whole(_trajectory_table(trajectory), self.trajectory_file(run_id))
         _write_whole(pa.Table.from_pylist([dict(row)]), self.part_file(run_id), _ONE_ROW)
         if trajectory is None:
-            _discard(self.trajectory_file(run_id))
+            discard(self.trajectory_file(run_id))
 
     def finished(self, known: Container[str] = ()) -> set[str]:
         """The run_ids that have a readable row, those `known` to have one left out."""
@@ -233,38 +230,12 @@ def _write_whole(table: pa.Table, file: Path, options: Mapping[str, object] = _M
     replace_whole(file, lambda temporary: pq.write_table(table, temporary, **options))
 
 
-def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `file`, then rename it into place.
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be written: no space, no permission.
-    """
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write(temporary)
-        temporary.replace(file)
-    except OSError as error:
-        raise StoreError(f"{file} cannot be written: {error}") from error
-    finally:
-        _discard(temporary)
-
-
 def _is_readable(file: Path) -> bool:
     try:
         pq.read_metadata(file)
     except (OSError, pa.ArrowInvalid):
         return False
     return True
-
-
-def _discard(file: Path) -> None:
-    try:
-        file.unlink(missing_ok=True)
-    except OSError:  # the error that brought us here says why; this one would only hide it
-        return
 
 
 def _read(file: Path, missing: str) -> pa.Table:

@@ -26,15 +26,12 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import InvalidInput, nearest
-
-if TYPE_CHECKING:  # a scenario names its metrics, so its module imports this one's
-    from congelation.scenario.scenario import Case
+from congelation.scenario.parts import Case
 
 __all__ = ["ENTRY_POINTS", "METRICS", "Metric", "metric", "norm"]
 

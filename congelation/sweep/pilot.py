@@ -11,7 +11,7 @@ from pathlib import Path
 
 from congelation.results.records import Row, Trajectory
 from congelation.results.store import Store
-from congelation.scenario.scenario import Experiment
+from congelation.scenario.parts import Experiment
 from congelation.sweep.plan import Run
 from congelation.sweep.workers import Task, Work, Worker, at_work
 

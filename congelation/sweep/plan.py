@@ -11,9 +11,8 @@ from congelation.cosim.coupling import make_coupling, refuse_tolerance
 from congelation.errors import InvalidInput
 from congelation.fmi.description import describe
 from congelation.results.identity import code_version, content_hash, file_hash
-from congelation.scenario.axes import Settings
-from congelation.scenario.scenario import EXPERIMENT, Case, Experiment, Scenario
-from congelation.scenario.start_values import Scalar
+from congelation.scenario.parts import EXPERIMENT, Case, Experiment, Scalar, Settings
+from congelation.scenario.scenario import Scenario
 
 __all__ = ["Run", "plan_run", "plan_runs", "varied_settings"]
 
@@ -93,7 +92,7 @@ def _require_steps(scenario: Scenario, experiment: Experiment) -> None:
     try:
         refuse_tolerance(coupling, experiment.tolerance)
     except InvalidInput as error:
-        raise InvalidInput(f"{scenario.file}: {EXPERIMENT}.tolerance: {error}") from error
+        raise InvalidInput(f"{scenario.place}: {EXPERIMENT}.tolerance: {error}") from error
 
 
 def _content(value: object) -> object:

@@ -87,4 +87,4 @@ def _reference(scenario: Scenario, run: Run) -> Reference:
 
 def _in_run(scenario: Scenario, run: Run, error: InvalidInput) -> InvalidInput:
     """The error with the place that it belongs to."""
-    return InvalidInput(f"{scenario.file}: {run.variant}: {error}")
+    return InvalidInput(f"{scenario.place}: {run.variant}: {error}")

@@ -12,8 +12,8 @@ from congelation.errors import InvalidInput
 from congelation.results.provenance import about
 from congelation.results.store import Store
 from congelation.scenario.axes import Sweep
-from congelation.scenario.scenario import EXPERIMENT, Scenario
-from congelation.scenario.start_values import Scalar
+from congelation.scenario.parts import EXPERIMENT, Scalar
+from congelation.scenario.scenario import Scenario
 from congelation.sweep.plan import plan_run, varied_settings
 from congelation.sweep.workers import REFUSED, TIMED_OUT, Task, Work
 
@@ -85,7 +85,7 @@ def plan_sweep(
             raise InvalidInput(f"'{status}' is no status to retry; valid: {', '.join(FAILURES)}")
     sweep = scenario.sweep
     if sweep is None:
-        raise InvalidInput(f"{scenario.file}: no [sweep]; give its axes, or use: congelation run")
+        raise InvalidInput(f"{scenario.place}: no [sweep]; give its axes, or use: congelation run")
     store = Store(folder.absolute())
     done = store.finished()
     if done and not resume:
@@ -93,7 +93,7 @@ def plan_sweep(
             f"{folder} holds {len(done)} finished runs; give --resume to go on, or another --out"
         )
     if next(_points(scenario, sweep), None) is None:
-        raise InvalidInput(f"{scenario.file}: sweep.constraints leave no point")
+        raise InvalidInput(f"{scenario.place}: sweep.constraints leave no point")
     varied = varied_settings(scenario, sweep.names())
     tasks = {task.run_id: task for task in _tasks(scenario, sweep, varied)}
     missing = (_missing(task, store, done, retry) for task in tasks.values())
@@ -127,7 +127,7 @@ def _points(scenario: Scenario, sweep: Sweep) -> Iterator[dict[str, Scalar]]:
     try:
         yield from sweep.points()
     except InvalidInput as error:
-        raise InvalidInput(f"{scenario.file}: sweep.constraints: {error}") from error
+        raise InvalidInput(f"{scenario.place}: sweep.constraints: {error}") from error
 
 
 def _drawn(error: InvalidInput, sweep: Sweep) -> InvalidInput:

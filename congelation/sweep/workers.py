@@ -20,7 +20,7 @@ from congelation.cosim.pool import SlavePool
 from congelation.errors import CongelationError, InvalidInput
 from congelation.results.records import Row, Trajectory
 from congelation.results.store import Store, StoreError
-from congelation.scenario.axes import Settings
+from congelation.scenario.parts import Settings
 from congelation.scenario.scenario import Scenario
 from congelation.sweep.execute import execute, lost_row
 from congelation.sweep.plan import Run, plan_run

@@ -12,7 +12,7 @@ import numpy.typing as npt
 from congelation.cosim.recorder import Memory, Sink
 from congelation.results.records import Trajectory
 from congelation.scenario.metrics import metric
-from congelation.scenario.scenario import Case, MetricSpec
+from congelation.scenario.parts import Case, MetricSpec
 
 __all__ = ["Points", "measure"]
 

@@ -25,8 +25,7 @@ from congelation.errors import CongelationError, InvalidInput
 from congelation.export.forms import models_of
 from congelation.export.interface import start_names
 from congelation.results.records import Trajectory
-from congelation.scenario.scenario import Case
-from congelation.scenario.start_values import Scalar
+from congelation.scenario.parts import Case, Scalar
 from congelation.signals import Profile
 from congelation.signals import Segment as Piece
 from congelation.theory.closed_loop import ClosedLoop, Segment, close

@@ -7,23 +7,30 @@ transformations, mappings) is refused, not passed over.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from lxml import etree
 
 from congelation.errors import nearest
 from congelation.fmi.description import describe
-from congelation.scenario.load import read_scenario
 from congelation.scenario.scenario import EXPERIMENT, Scenario
-from congelation.scenario.ssp.archive import Archive, unpack
-from congelation.scenario.ssp.parameters import bound_values
-from congelation.scenario.ssp.schema import ANNOTATION, DESCRIPTION, NAMESPACES, SSD, parse
+from congelation.scenario.ssp.archive import (
+    ANNOTATION,
+    DESCRIPTION,
+    NAMESPACES,
+    PARAMETERS,
+    SSD,
+    Archive,
+    parse,
+    unpack,
+)
 from congelation.toml import Section
 
 __all__ = ["read_ssp"]
 
 _FMU = "application/x-fmu-sharedlibrary"
+_PARAMETER_SET = "application/x-ssp-parameter-set"
 
 # How an archive is run that does not say so, as those of other tools: to this tolerance if all
 # its FMUs can take a step back, otherwise with held inputs in so many steps.
@@ -53,14 +60,14 @@ def read_ssp(file: Path) -> Scenario:
     }
     document[EXPERIMENT] = _experiment(root, document.get(EXPERIMENT), components, archive)
     text = content.decode(errors="replace")
-    return read_scenario(file, text, Section(str(file), "", document))
+    return Scenario.from_document(Section(str(file), "", document), file, text)
 
 
 def _components(system: etree._Element, archive: Archive) -> dict[str, dict[str, object]]:
     """By name: the FMU and the start values of each component."""
     components: dict[str, dict[str, object]] = {}
     # A system's parameters take precedence over its components'.
-    overriding = bound_values(system, archive, "the system")
+    overriding = _bound_values(system, archive, "the system")
     for element in system.findall("ssd:Elements/*", NAMESPACES):
         name = element.get("name", "")
         what = f"component '{name}'"
@@ -70,7 +77,7 @@ def _components(system: etree._Element, archive: Archive) -> dict[str, dict[str,
         if name in components:
             raise archive.error(f"{what} is given twice; names must differ")
         fmu = archive.find(element.get("source", ""), what)
-        values = bound_values(element, archive, what)
+        values = _bound_values(element, archive, what)
         values |= {
             key.removeprefix(f"{name}."): value
             for key, value in overriding.items()
@@ -156,3 +163,72 @@ def _experiment(
         return {**table, "tolerance": _TOLERANCE}
     step = (table["stop_time"] - table.get("start_time", 0.0)) / _STEPS
     return {**table, "coupling": "jacobi", "step": step}
+
+
+def _bound_values(element: etree._Element, archive: Archive, what: str) -> dict[str, object]:
+    """The values that the parameter bindings of a component or system give, by name.
+
+    Later bindings replace earlier ones. A value that states its unit is a table of both.
+
+    Raises
+    ------
+    InvalidInput
+        If a parameter set is missing or not valid, or if a binding cannot be followed; `what`
+        names its owner.
+    """
+    values: dict[str, object] = {}
+    for binding in element.findall("ssd:ParameterBindings/ssd:ParameterBinding", NAMESPACES):
+        _check_binding(binding, archive, what)
+        prefix = binding.get("prefix", "")
+        for parameter_set in _parameter_sets(binding, archive, what):
+            for parameter in parameter_set.findall("ssv:Parameters/ssv:Parameter", NAMESPACES):
+                values[prefix + parameter.get("name", "")] = _value(parameter, archive, what)
+    return values
+
+
+def _check_binding(binding: etree._Element, archive: Archive, what: str) -> None:
+    kind = binding.get("type", _PARAMETER_SET)
+    if kind != _PARAMETER_SET:
+        raise archive.error(f"{what}: parameters of type '{kind}'; give '{_PARAMETER_SET}'")
+    if binding.find("ssd:ParameterMapping", NAMESPACES) is not None:
+        raise archive.error(f"{what}: a parameter mapping; give the FMU's own names")
+    if binding.get("sourceBase", "SSD") != "SSD":
+        raise archive.error(f"{what}: parameters inside of an FMU; put them beside the SSD")
+
+
+def _parameter_sets(
+    binding: etree._Element, archive: Archive, what: str
+) -> Iterator[etree._Element]:
+    source = binding.get("source")
+    if source is not None:
+        content = archive.find(source, what).read_bytes()
+        yield parse(content, PARAMETERS, f"{archive.file}: {source}")
+    for inline in binding.findall("ssd:ParameterValues/ssv:ParameterSet", NAMESPACES):
+        yield parse(etree.tostring(inline), PARAMETERS, f"{archive.file}: parameters of {what}")
+
+
+def _value(parameter: etree._Element, archive: Archive, what: str) -> object:
+    element = next(child for child in parameter if isinstance(child.tag, str))
+    kind = etree.QName(element).localname
+    if kind not in _READERS:
+        name = parameter.get("name")
+        known = ", ".join(_READERS)
+        raise archive.error(f"{what}: parameter '{name}' is a value of type {kind}; give {known}")
+    value = _READERS[kind](element.get("value", ""))
+    if isinstance(value, str) and value and (archive.folder / value).is_file():
+        value = str(archive.find(value, what))  # an FMU looks for files from where its host runs
+    unit = element.get("unit")
+    return value if unit is None else {"value": value, "unit": unit}
+
+
+def _boolean(text: str) -> bool:
+    return text.strip() in ("true", "1")
+
+
+# float and int read every form of xs:double and xs:int; the schema has refused all others.
+_READERS: Mapping[str, Callable[[str], float | int | bool | str]] = {
+    "Real": float,
+    "Integer": int,
+    "Boolean": _boolean,
+    "String": str,
+}

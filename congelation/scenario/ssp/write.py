@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -23,10 +23,16 @@ from congelation.cosim.system import ResolvedSystem
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import Variable
 from congelation.fmi.start import StartValue
-from congelation.results.store import replace_whole
+from congelation.places import replace_whole
 from congelation.scenario.scenario import Experiment, Scenario, Variant
-from congelation.scenario.ssp.archive import Contents
-from congelation.scenario.ssp.schema import ANNOTATION, DESCRIPTION, NAMESPACES, SSD, tag
+from congelation.scenario.ssp.archive import (
+    ANNOTATION,
+    DESCRIPTION,
+    NAMESPACES,
+    SSD,
+    Contents,
+    tag,
+)
 
 __all__ = ["write_ssp"]
 
@@ -103,7 +109,7 @@ def _variant(scenario: Scenario, name: str | None) -> Variant:
         if variant.name == name:
             return variant
     names = [variant.name for variant in scenario.variants]
-    raise InvalidInput(f"{scenario.file}: no variant '{name}'; {nearest(name, names)}")
+    raise InvalidInput(f"{scenario.place}: no variant '{name}'; {nearest(name, names)}")
 
 
 def _root(scenario: Scenario, file: Path) -> etree._Element:
@@ -250,19 +256,8 @@ def _annotate_step(system: etree._Element, default: etree._Element, experiment: 
 
 def _beyond_ssp(scenario: Scenario, variant: Variant, experiment: Experiment) -> dict[str, object]:
     """The tables of the scenario file that have no place in SSP 1.0."""
-    return {
-        "title": scenario.title,
-        "variants": [{"name": variant.name}],
-        "experiment": {key: v for key, v in asdict(experiment).items() if v is not None},
-        "metrics": {
-            m.name: {"metric": m.metric, **({"of": m.of} if m.of else {}), **m.options}
-            for m in scenario.metrics
-        },
-        "figures": [
-            {key: v for key, v in asdict(figure).items() if v is not None}
-            for figure in scenario.figures
-        ],
-    }
+    said = replace(scenario, experiment=experiment, variants=(Variant(variant.name),)).document()
+    return {key: said[key] for key in ("title", "variants", "experiment", "metrics", "figures")}
 
 
 def _annotation(parent: etree._Element, kind: str) -> etree._Element:

@@ -1,0 +1,1 @@
+"""Records of runs: the record itself, the store, and what a user opens."""
