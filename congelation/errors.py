@@ -22,7 +22,17 @@ class CongelationError(Exception):
 
 
 class InvalidInput(CongelationError, ValueError):
-    """Something the user wrote is wrong; the text says what, where, and what would be valid."""
+    """Something the user wrote is wrong; the text says what, where, and what would be valid.
+
+    It is one line: what it quotes of a file may hold any characters, and those that cannot be
+    printed are escaped.
+    """
+
+    def __init__(self, text: str) -> None:
+        line = " ".join(text.splitlines()) if "\n" in text else text
+        if not line.isprintable():
+            line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+        super().__init__(line)
 
 
 class InfeasibleDesign(InvalidInput):

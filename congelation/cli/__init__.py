@@ -14,6 +14,7 @@ import typer
 from congelation.cli.designs import certify
 from congelation.cli.results import export, ls, report, show
 from congelation.cli.runs import export_ssp, run, sweep
+from congelation.cli.schema import schema
 from congelation.cli.shared import BAD_INPUT, FAILED, complain
 from congelation.conformance.command import check
 from congelation.errors import CongelationError, InvalidInput
@@ -28,7 +29,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for command in (run, sweep, report, ls, show, export, certify, check):
+for command in (run, sweep, report, ls, show, export, certify, check, schema):
     app.command()(command)
 app.command("export-ssp")(export_ssp)
 
