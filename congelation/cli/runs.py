@@ -147,9 +147,15 @@ def export_ssp(
     derivatives: Annotated[
         bool, typer.Option("--derivatives", help="Connect der(..) outputs to der(..) inputs, too.")
     ] = False,
+    step: Annotated[
+        float | None,
+        typer.Option(
+            help="Communication step for other tools, in s.", show_default="the experiment's"
+        ),
+    ] = None,
 ) -> None:
     """Write a scenario as a system that other tools can open: SSP 1.0 with the FMUs inside."""
-    write_ssp(load_scenario(scenario), file, variant, derivatives=derivatives)
+    write_ssp(load_scenario(scenario), file, variant, derivatives=derivatives, step=step)
     print(file)
 
 

@@ -44,7 +44,12 @@ _SLAVE_TOLERANCE = 1e-8
 
 
 def write_ssp(
-    scenario: Scenario, file: Path, variant: str | None = None, *, derivatives: bool = False
+    scenario: Scenario,
+    file: Path,
+    variant: str | None = None,
+    *,
+    derivatives: bool = False,
+    step: float | None = None,
 ) -> None:
     """Write one variant of a scenario as an SSP archive.
 
@@ -61,6 +66,9 @@ def write_ssp(
     derivatives : bool
         Whether to connect the outputs der(.) as well. Tools that hold their inputs then hold the
         derivatives with them, and the FMUs extrapolate: second order instead of first.
+    step : float, optional
+        Communication step for tools that have no other, in seconds; that of the experiment if it
+        has one and no tolerance.
 
     Raises
     ------
@@ -70,6 +78,8 @@ def write_ssp(
     StoreError
         If the file cannot be written.
     """
+    if step is not None and not 0.0 < step < math.inf:
+        raise InvalidInput(f"step {step:g} is not valid; give a positive time in seconds")
     if file.suffix != ".ssp":
         raise InvalidInput(f"{file}: the name of an SSP archive ends in .ssp")
     chosen = _variant(scenario, variant)
@@ -92,7 +102,10 @@ def write_ssp(
         _add(_add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=bound)
     _add_connections(system, resolved, ties)
     default = _add_experiment(root, case.experiment)
-    _annotate_step(system, default, case.experiment)
+    if step is None and case.experiment.tolerance is None:
+        step = case.experiment.step
+    if step is not None:
+        _annotate_step(system, default, step, case.experiment)
     beyond = _beyond_ssp(scenario, chosen, case.experiment)
     # OMSimulator refuses annotations of the whole, so this one is the experiment's.
     etree.SubElement(_annotation(default, ANNOTATION), "Scenario").text = json.dumps(
@@ -234,11 +247,11 @@ def _add_experiment(root: etree._Element, experiment: Experiment) -> etree._Elem
     return default
 
 
-def _annotate_step(system: etree._Element, default: etree._Element, experiment: Experiment) -> None:
+def _annotate_step(
+    system: etree._Element, default: etree._Element, size: float, experiment: Experiment
+) -> None:
     """The step, where libcosim and OMSimulator look for it."""
-    if experiment.step is None or experiment.tolerance is not None:
-        return
-    step = repr(experiment.step)
+    step = repr(size)
     libcosim = _annotation(default, "com.opensimulationplatform")
     _add(_add(libcosim, "osp:Algorithm"), "osp:FixedStepAlgorithm", baseStepSize=step)
     omsimulator = _add(_annotation(system, "org.openmodelica"), "oms:Annotations")
