@@ -223,6 +223,7 @@ SCENARIO = Table(
             "numbers that sum up a run",
             table=Table("By column.", extra=Key("NAME", "table", "one metric", table=METRIC)),
         ),
+        Key("open", "texts", "inputs that are meant to be left without a connection", ()),
         Key("figures", "tables", "figures of the trajectories", table=FIGURE),
         Key("variants", "tables", "named changes; without any there is one run", table=VARIANT),
         Key("sweep", "table", "the points at which every variant is run", table=SWEEP),

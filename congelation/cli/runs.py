@@ -54,11 +54,12 @@ def run(
     verify: Annotated[
         bool, typer.Option("--verify", help="Compare with a monolithic solution.")
     ] = False,
+    strict: Annotated[bool, typer.Option("--strict", help="Take warnings for errors.")] = False,
 ) -> None:
     """Run all variants of a scenario: summary, trajectories and figures."""
     folder = out if out is not None else Path("results") / scenario.stem
     try:
-        store = _run_with_progress(load_scenario(scenario), folder, verify)
+        store = _run_with_progress(_load(scenario, strict=strict), folder, verify)
     except KeyboardInterrupt as error:
         complain("interrupted")
         raise typer.Exit(INTERRUPTED) from error
@@ -109,6 +110,7 @@ def sweep(
     progress: Annotated[
         Form, typer.Option(help="A bar, one line of JSON at a time, or nothing.")
     ] = Form.BAR,
+    strict: Annotated[bool, typer.Option("--strict", help="Take warnings for errors.")] = False,
 ) -> None:
     """Run all variants at every point of the scenario's sweep, in worker processes."""
     folder = out if out is not None else Path("results") / scenario.stem
@@ -118,7 +120,7 @@ def sweep(
         raise InvalidInput("--ship needs a --scheduler to send FMUs to; processes here have them")
     again = [as_status(status) for status in retry or ()]
     plan = plan_sweep(
-        load_scenario(scenario), folder, resume=bool(resume or dry_run or again), retry=again
+        _load(scenario, strict=strict), folder, resume=bool(resume or dry_run or again), retry=again
     )
     place = _place(plan, workers or 1, scheduler, ship=ship)
     try:
@@ -157,6 +159,22 @@ def export_ssp(
     """Write a scenario as a system that other tools can open: SSP 1.0 with the FMUs inside."""
     write_ssp(load_scenario(scenario), file, variant, derivatives=derivatives, step=step)
     print(file)
+
+
+def _load(file: Path, *, strict: bool) -> Scenario:
+    """The scenario, after telling what may be a mistake in it.
+
+    Raises
+    ------
+    InvalidInput
+        The first warning, if they are to be errors.
+    """
+    scenario = load_scenario(file)
+    if strict and scenario.warnings:
+        raise InvalidInput(f"{scenario.warnings[0]} (--strict)")
+    for warning in scenario.warnings:
+        complain(f"warning: {warning}")
+    return scenario
 
 
 def _place(plan: Plan, workers: int, scheduler: str | None, *, ship: bool) -> Workers:

@@ -63,6 +63,7 @@ class Ensemble:
         links = {(link.target, link.input.name): k for k, link in enumerate(self.inputs.links)}
         places, slopes = [], []
         self._driven: list[tuple[int, int]] = []
+        self._converted: list[tuple[int, float, float]] = []
         self._slow: list[tuple[int, Recorded]] = []
         for column, item in enumerate(recorded):
             link = links.get((item.member, item.variable.name))
@@ -75,7 +76,11 @@ class Ensemble:
                 self._driven.append((column, link))
                 places.append(int(self.inputs.source[link]))
                 source = self.inputs.links[link]
-                slopes.append(self.outputs.slope_place(source.source, source.output.name))
+                slope = self.outputs.slope_place(source.source, source.output.name)
+                if (source.factor, source.offset) != (1.0, 0.0):
+                    self._converted.append((column, source.factor, source.offset))
+                    slope = NO_DERIVATIVE  # that one is in the units of the output
+                slopes.append(slope)
             else:
                 places.append(self.outputs.place(item.member, item.variable.name))
                 slopes.append(self.outputs.slope_place(item.member, item.variable.name))
@@ -100,6 +105,8 @@ class Ensemble:
         if self.latched:
             for column, link in self._driven:
                 row[column] = self.inputs.C[0, link]
+        for column, factor, offset in self._converted:
+            row[column] = factor * row[column] + offset
         for column, item in self._slow:
             slave = self.slaves[item.member]
             (value,) = slave.get_values(item.variable.type, [item.variable.reference])

@@ -101,9 +101,11 @@ class Inputs:
         values = np.zeros(len(links))
         send = slave.writer([link.input.reference for link in links], values)
         source = self.source[self.columns[m]]
+        convert = _converter(values, [(link.factor, link.offset) for link in links])
 
         def hold() -> None:
             Y.take(source, out=values, mode="clip")
+            convert()
             send()
 
         return hold
@@ -150,9 +152,15 @@ class Inputs:
         """Take the entries (order, link) of C and send them."""
         C = self.C.reshape(-1)
         place = np.array([order * len(self.links) + k for order, k in slots], np.intp)
+        # C is in the units of the outputs; a derivative has no offset.
+        convert = _converter(
+            values,
+            [(self.links[k].factor, 0.0 if order else self.links[k].offset) for order, k in slots],
+        )
 
         def write() -> None:
             C.take(place, out=values, mode="clip")
+            convert()
             send()
 
         return write
@@ -160,3 +168,16 @@ class Inputs:
     def _write_calls(self, m: int) -> int:
         links = self.links[self.columns[m]]
         return bool(links) + any(self._interpolates(link) for link in links)
+
+
+def _converter(values: Floats, units: Sequence[tuple[float, float]]) -> Callable[[], None]:
+    """What brings values from the units of outputs to those of inputs, in place."""
+    if all(unit == (1.0, 0.0) for unit in units):
+        return chained(())
+    factor, offset = np.array(units).T
+
+    def convert() -> None:
+        np.multiply(values, factor, out=values)
+        np.add(values, offset, out=values)
+
+    return convert

@@ -6,15 +6,21 @@ import hashlib
 import os
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
 import fmpy
+from lxml import etree
 
 from congelation.errors import InvalidInput, nearest
+from congelation.fmi.units import BASE, Unit, unit_named
 
-__all__ = ["Description", "Variable", "describe"]
+__all__ = ["ANNOTATION", "Description", "Variable", "describe"]
+
+
+ANNOTATION = "congelation"
+"""Name of the tool in annotations of FMUs."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +38,8 @@ class Variable:
         Size at which a Real counts as of order one; 1 where the FMU does not say.
     unit : str
         Unit name, empty where the FMU does not say.
+    relative : bool
+        Whether values are differences, to which the offset of a unit does not apply.
     """
 
     name: str
@@ -42,6 +50,7 @@ class Variable:
     initial: str | None
     nominal: float = 1.0
     unit: str = ""
+    relative: bool = False
 
     @property
     def settable(self) -> bool:
@@ -66,6 +75,10 @@ class Description:
     dependencies : mapping of str to (tuple of str or None)
         For each output, the variables on which it depends directly; None where the FMU does not
         say, which means all of them.
+    units : mapping of str to Unit
+        Those that the FMU defines, the ones that it displays included.
+    open_inputs : frozenset of str
+        Inputs that the FMU says are meant to be left alone, by an annotation of this project.
     """
 
     path: Path
@@ -79,6 +92,15 @@ class Description:
     can_vary_step: bool
     once_per_process: bool
     max_output_derivative_order: int
+    units: Mapping[str, Unit] = field(default_factory=dict)
+    open_inputs: frozenset[str] = frozenset()
+
+    def unit(self, name: str) -> Unit | None:
+        """The unit of a name, as the FMU defines it, else as is usual; None for no name."""
+        if not name:
+            return None
+        found = self.units.get(name)
+        return found if found is not None else unit_named(name)
 
     def variable(self, name: str, place: str) -> Variable:
         """The variable `name`, or InvalidInput that names the nearest one."""
@@ -138,7 +160,35 @@ def _read(path: Path) -> Description:
         can_vary_step=simulation.canHandleVariableCommunicationStepSize,
         once_per_process=simulation.canBeInstantiatedOnlyOncePerProcess,
         max_output_derivative_order=simulation.maxOutputDerivativeOrder,
+        units=MappingProxyType(_units(model)),
+        open_inputs=_open_inputs(path),
     )
+
+
+def _units(model: fmpy.model_description.ModelDescription) -> dict[str, Unit]:
+    """The UnitDefinitions; a display value is factor * v + offset of the unit's own values v."""
+    found: dict[str, Unit] = {}
+    for unit in model.unitDefinitions:
+        base = unit.baseUnit
+        if base is None:
+            continue
+        exponents = tuple(int(getattr(base, symbol) or 0) for symbol in BASE)
+        factor, offset = float(base.factor), float(base.offset)
+        found[unit.name] = Unit(unit.name, exponents, factor, offset)
+        for shown in unit.displayUnits:
+            scale = factor / float(shown.factor)
+            shift = offset - scale * float(shown.offset)
+            found.setdefault(shown.name, Unit(shown.name, exponents, scale, shift))
+    return found
+
+
+def _open_inputs(path: Path) -> frozenset[str]:
+    """The names in ``VendorAnnotations/Tool[@name='congelation']/OpenInputs/Input``."""
+    with zipfile.ZipFile(path) as archive:
+        content = archive.read("modelDescription.xml")
+    root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
+    found = root.findall(f"VendorAnnotations/Tool[@name='{ANNOTATION}']/OpenInputs/Input")
+    return frozenset(element.get("name", "") for element in found)
 
 
 def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
@@ -150,7 +200,12 @@ def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
         variability=variable.variability,
         initial=variable.initial,
         nominal=abs(float(variable.nominal or 1.0)) or 1.0,
-        unit=variable.unit or "",
+        unit=variable.unit or (getattr(variable.declaredType, "unit", None) or ""),
+        relative=bool(
+            getattr(variable.declaredType, "relativeQuantity", False)
+            if variable.relativeQuantity is None
+            else variable.relativeQuantity
+        ),
     )
 
 

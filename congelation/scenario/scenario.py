@@ -8,7 +8,7 @@ same message, with its place in the file or in the call.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -83,9 +83,13 @@ class Scenario:
         Where it was read from.
     text : str
         What was read, kept for the record.
+    open : tuple of str
+        Inputs ``component.variable`` that are meant to be left without a connection.
     measured : tuple of str or None
         Those of the recorded columns that metrics are of; None where they are of all. It follows
         from the other fields.
+    warnings : tuple of str
+        What may be a mistake: forgotten connections, units that cannot be compared.
 
     Raises
     ------
@@ -117,7 +121,9 @@ class Scenario:
     sweep: Sweep | None = None
     file: Path | None = None
     text: str = ""
+    open: tuple[str, ...] = ()
     measured: tuple[str, ...] | None = field(default=None, init=False)
+    warnings: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
         lists = len(self.sweep.lists) if self.sweep is not None else 0
@@ -204,6 +210,7 @@ class Scenario:
                 for f in self.figures
             ],
             "variants": [{"name": v.name, "set": _plain(v.settings)} for v in self.variants],
+            "open": list(self.open),
         }
         if self.sweep is not None:
             document["sweep"] = _plain(self.sweep.document())
@@ -269,6 +276,11 @@ def _read(document: Section, stem: str) -> dict[str, Any]:
         reader.check_free(start, component.name, component.start)
     variants = _variants(top["variants"], reader) or (Variant(stem),)
     _check_figures(top["figures"], figures, experiment, variants)
+    sweep = read_sweep(top["sweep"], reader) if "sweep" in document.data else None
+    given = {f"{c.name}.{name}" for c in components for name in c.start}
+    given |= {name for variant in variants for name in variant.settings}
+    given |= set(sweep.names()) if sweep is not None else set()
+    left_open = document.attempt("open", partial(_open, resolved, top["open"]))
     return {
         "title": top["title"],
         "system": system,
@@ -276,8 +288,13 @@ def _read(document: Section, stem: str) -> dict[str, Any]:
         "variants": variants,
         "metrics": metrics,
         "figures": figures,
-        "sweep": read_sweep(top["sweep"], reader) if "sweep" in document.data else None,
+        "sweep": sweep,
+        "open": top["open"],
         "measured": measured,
+        "warnings": (
+            *_doubtful(resolved, document.file),
+            *_forgotten(resolved, {*given, *left_open, *reader.driven}, document.file),
+        ),
     }
 
 
@@ -389,6 +406,40 @@ def _driven(resolved: ResolvedSystem) -> dict[str, str]:
             if variable is not None:
                 found[f"{resolved.members[link.target].name}.{variable.name}"] = link.name
     return found
+
+
+def _open(resolved: ResolvedSystem, names: Iterable[str]) -> set[str]:
+    """The scalar inputs that names stand for."""
+    found: set[str] = set()
+    for name in names:
+        for entry in resolved.recorded([name]):
+            if entry.variable.causality != "input":
+                raise InvalidInput(f"'{name}' is of causality {entry.variable.causality}, no input")
+            found.add(entry.name)
+    return found
+
+
+def _doubtful(resolved: ResolvedSystem, place: str) -> Iterator[str]:
+    """A line for each connection whose units cannot be compared."""
+    for link in resolved.links:
+        if link.doubt:
+            yield f"{place}: connection '{link.name}': {link.doubt}"
+
+
+def _forgotten(resolved: ResolvedSystem, known: Collection[str], place: str) -> Iterator[str]:
+    """A line for each input that nothing drives or sets, and that is not meant to be left alone."""
+    for member in resolved.members:
+        description = member.description
+        for name, variable in description.variables.items():
+            if (
+                variable.causality == "input"
+                and f"{member.name}.{name}" not in known
+                and name not in description.open_inputs
+            ):
+                yield (
+                    f"{place}: input '{member.name}.{name}' has no connection and no start value; "
+                    f'connect it, set it, or list it in open = ["{member.name}.{name}"]'
+                )
 
 
 def _recording(

@@ -12,6 +12,7 @@ from congelation import keys
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import Description
 from congelation.fmi.start import resolve_start
+from congelation.fmi.units import Conversion, conversion
 from congelation.scenario.parts import EXPERIMENT, Experiment, Scalar, agreed
 from congelation.signals import Profile, ProfileError, Slots
 from congelation.toml import Section
@@ -145,17 +146,43 @@ def _profile_values(section: Section, description: Description) -> dict[str, Sca
 
 
 def _without_unit(section: Section, key: str, description: Description) -> object:
-    """The value under `key`, after checking the unit if it states one."""
+    """The value under `key`, in the unit of its variable if it states one of its own."""
     if not isinstance(section.data[key], Mapping):
         return section.data[key]
     quantity = section.section(key).only(("value", "unit")).require("value", "unit")
     unit = quantity.text("unit")
-    named = (v for n, v in description.variables.items() if n == key or n.startswith(f"{key}["))
-    declared = {variable.unit or "1" for variable in named}
-    if declared and declared != {unit}:
-        units = " and ".join(f"'{u}'" for u in sorted(declared))
+    named = [v for n, v in description.variables.items() if n == key or n.startswith(f"{key}[")]
+    declared = sorted({variable.unit or "1" for variable in named})
+    if not declared or declared == [unit]:
+        return quantity.data["value"]
+    units = " and ".join(f"'{name}'" for name in declared)
+    if len(declared) > 1:
         raise quantity.error("unit", f"= '{unit}' is not the unit of '{key}'; give {units}")
-    return quantity.data["value"]
+    own, relative = description.unit(declared[0]), any(variable.relative for variable in named)
+    try:
+        found = conversion(description.unit(unit), own, relative=relative)
+    except InvalidInput as error:
+        text = f"= '{unit}' is not the unit of '{key}': {error}; give one such as {units}"
+        raise quantity.error("unit", text) from None
+    if found.doubt:
+        raise quantity.error("unit", f"= '{unit}' is not the unit of '{key}'; give {units}")
+    return _converted(quantity, found)
+
+
+def _converted(quantity: Section, to: Conversion) -> object:
+    """The value of a quantity, a number or rows of numbers, converted."""
+
+    def convert(value: object) -> object:
+        if isinstance(value, list):
+            return [convert(entry) for entry in value]
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise quantity.wrong("value", "a number, or an array of numbers, as it has a unit")
+        try:
+            return to.factor * value + to.offset
+        except OverflowError:
+            raise quantity.wrong("value", "a number that a float can hold") from None
+
+    return convert(quantity.data["value"])
 
 
 def _profile_prefix(section: Section, key: str, description: Description) -> str:
