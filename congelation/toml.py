@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -373,8 +374,12 @@ def read_document(file: Path) -> tuple[str, Section]:
     Raises
     ------
     InvalidInput
-        If the file cannot be read or is not TOML.
+        If the file cannot be read or is not TOML; what else it is, if that is clear.
     """
+    if file.is_dir():
+        raise InvalidInput(f"{file}: this is a folder; give a file (.toml)")
+    if zipfile.is_zipfile(file):
+        raise InvalidInput(f"{file}: this is {_archive_kind(file)}")
     try:
         text = file.read_text(encoding="utf-8-sig")  # with or without a byte order mark
     except FileNotFoundError as error:
@@ -400,6 +405,17 @@ def _is_finite(value: object) -> TypeGuard[float]:
         return math.isfinite(value)
     except OverflowError:  # a whole number beyond the largest float
         return False
+
+
+def _archive_kind(file: Path) -> str:
+    """What an archive is, and what to do with it."""
+    with zipfile.ZipFile(file) as archive:
+        names = archive.namelist()
+    if "modelDescription.xml" in names:
+        return f"an FMU; check it with: congelation check {file}, or name it in a scenario"
+    if "SystemStructure.ssd" in names:
+        return "an SSP archive; it can be run if its name ends in .ssp"
+    return "a ZIP archive; give a TOML file"
 
 
 def _neighbours(file: Path) -> str:

@@ -40,6 +40,7 @@ from pathlib import Path
 import numpy as np
 
 from congelation import keys
+from congelation.errors import InvalidInput
 from congelation.export.defaults import check_defaults
 from congelation.export.equations import Special
 from congelation.export.forms import FORMS, Form, Structure
@@ -99,6 +100,8 @@ def read_spec(file: Path) -> Spec:
         Naming the file, the path in it, and what would be valid.
     """
     _, top = read_document(file)
+    if "components" in top.data and "form" not in top.data:
+        raise InvalidInput(f"{file}: this is a scenario (congelation run {file}); give a spec")
     read = top.read(keys.SPEC)
     name: str = read["form"]
     form = FORMS[name]

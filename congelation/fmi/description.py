@@ -14,6 +14,7 @@ import fmpy
 from lxml import etree
 
 from congelation.errors import InvalidInput, nearest
+from congelation.fmi.archive import DAMAGED, check_archive
 from congelation.fmi.units import BASE, Unit, unit_named
 
 __all__ = ["ANNOTATION", "Description", "Variable", "describe"]
@@ -123,6 +124,8 @@ def describe(path: Path) -> Description:
         The file is missing, is no FMU, or offers no FMI 2.0 co-simulation.
     """
     path = Path(path)
+    if path.is_dir():
+        raise InvalidInput(f"{path}: this is a folder; give an FMU (.fmu)")
     if not path.is_file():
         raise InvalidInput(f"no FMU at {path}; run `python build_fmu.py`, or correct the path")
     status = path.stat()
@@ -136,18 +139,29 @@ _DESCRIPTIONS: dict[tuple[str, int, int], Description] = {}
 
 
 def _read(path: Path) -> Description:
+    check_archive(path, "an FMU")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            content = archive.read("modelDescription.xml")
+    except (*DAMAGED, KeyError) as error:
+        raise InvalidInput(f"{path} is not an FMU: {error}") from error
+    try:
+        # No entities and no network: an FMU may come from anyone.
+        root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
+    except etree.XMLSyntaxError as error:
+        raise InvalidInput(f"{path}: unreadable modelDescription.xml: {error}") from error
+    # FMPy reads other versions as well, or stumbles over what they have not got.
+    if (version := root.get("fmiVersion")) != "2.0":
+        raise InvalidInput(f"{path}: an FMU of FMI {version}; one of FMI 2.0 is needed")
     try:
         model = fmpy.read_model_description(os.fspath(path), validate=False)
-    except (zipfile.BadZipFile, KeyError) as error:
-        raise InvalidInput(f"{path} is not an FMU: {error}") from error
     except Exception as error:  # fmpy raises bare Exception for whatever it cannot read
         raise InvalidInput(f"{path}: unreadable modelDescription.xml: {error}") from error
     simulation = model.coSimulation
-    if model.fmiVersion != "2.0" or simulation is None:
-        raise InvalidInput(
-            f"{path}: FMI {model.fmiVersion} without 2.0 co-simulation; "
-            "an FMI 2.0 co-simulation FMU is needed"
-        )
+    if simulation is None:
+        raise InvalidInput(f"{path}: an FMU for model exchange alone; co-simulation is needed")
+    if {*str(simulation.modelIdentifier)} & {"/", "\\", "\0"}:  # it names files
+        raise InvalidInput(f"{path}: modelIdentifier '{simulation.modelIdentifier}' is not valid")
     return Description(
         path=path,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
@@ -161,7 +175,7 @@ def _read(path: Path) -> Description:
         once_per_process=simulation.canBeInstantiatedOnlyOncePerProcess,
         max_output_derivative_order=simulation.maxOutputDerivativeOrder,
         units=MappingProxyType(_units(model)),
-        open_inputs=_open_inputs(path),
+        open_inputs=_open_inputs(root),
     )
 
 
@@ -182,11 +196,8 @@ def _units(model: fmpy.model_description.ModelDescription) -> dict[str, Unit]:
     return found
 
 
-def _open_inputs(path: Path) -> frozenset[str]:
+def _open_inputs(root: etree._Element) -> frozenset[str]:
     """The names in ``VendorAnnotations/Tool[@name='congelation']/OpenInputs/Input``."""
-    with zipfile.ZipFile(path) as archive:
-        content = archive.read("modelDescription.xml")
-    root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
     found = root.findall(f"VendorAnnotations/Tool[@name='{ANNOTATION}']/OpenInputs/Input")
     return frozenset(element.get("name", "") for element in found)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from congelation.errors import InvalidInput
 from congelation.scenario.scenario import Scenario
 from congelation.scenario.ssp.read import read_ssp
 from congelation.toml import read_document
@@ -28,4 +29,9 @@ def load_scenario(file: Path | str) -> Scenario:
     if path.suffix == ".ssp":
         return read_ssp(path)
     text, document = read_document(path)
+    if "form" in document.data and "components" not in document.data:
+        raise InvalidInput(
+            f"{path}: this is a spec, from which FMUs are built (congelation build {path}); "
+            "give a scenario"
+        )
     return Scenario.from_document(document, path, text)

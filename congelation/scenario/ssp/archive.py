@@ -16,6 +16,7 @@ import fmpy
 from lxml import etree
 
 from congelation.errors import InvalidInput
+from congelation.fmi.archive import unpack_archive
 
 __all__ = [
     "ANNOTATION",
@@ -95,11 +96,7 @@ def unpack(file: Path) -> Archive:
     folder = Path(tempfile.mkdtemp(prefix=f"{file.stem}_")).resolve()
     # Unlike atexit, this also runs at the end of a worker process, and only in its own.
     multiprocessing.util.Finalize(None, shutil.rmtree, (folder, True), exitpriority=1)
-    try:
-        with zipfile.ZipFile(file) as archive:
-            archive.extractall(folder)
-    except (zipfile.BadZipFile, NotImplementedError, OSError) as error:
-        raise InvalidInput(f"{file}: is no SSP archive: {error}") from error
+    unpack_archive(file, folder, "an SSP archive")
     return Archive(file, folder)
 
 
