@@ -7,6 +7,7 @@ same message, with its place in the file or in the call.
 
 from __future__ import annotations
 
+import copy
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -141,6 +142,12 @@ class Scenario:
         """
         scenario = object.__new__(cls)
         scenario._fill({**_read(document, file.stem), "file": file, "text": text})
+        return scenario
+
+    def with_warnings(self, warnings: Iterable[str]) -> Scenario:
+        """This scenario with more warnings, of what was read."""
+        scenario = copy.copy(self)
+        scenario._fill({"warnings": (*self.warnings, *warnings)})
         return scenario
 
     def _fill(self, values: Mapping[str, object]) -> None:

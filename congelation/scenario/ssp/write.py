@@ -221,6 +221,8 @@ def _parameter_set(start: Iterable[StartValue], contents: Contents) -> bytes:
     root.set("name", _PARAMETER_SET)
     parameters = _add(root, "ssv:Parameters")
     for item in start:
+        if item.value == "":
+            continue  # OMSimulator complains of empty Strings, and they say nothing
         parameter = _add(parameters, "ssv:Parameter", name=item.variable.name)
         value = _packed(item.value, contents)
         _add(parameter, f"ssv:{item.variable.type}", value=value)
