@@ -31,7 +31,10 @@ if TYPE_CHECKING:
         simulate,
     )
     from congelation.cosim.coupling import Derivative, GaussSeidel, Hermite, Jacobi, Sampled
+    from congelation.cosim.experiment import Experiment
     from congelation.cosim.info import Info, info
+    from congelation.design.attack import attack
+    from congelation.design.tune import tune
     from congelation.errors import CongelationError, InvalidInput, SlaveError
     from congelation.export.build import build
     from congelation.export.examples import copy_examples as examples
@@ -39,7 +42,8 @@ if TYPE_CHECKING:
     from congelation.export.spec import Spec
     from congelation.results.results import Results, open_results
     from congelation.scenario.load import load_scenario
-    from congelation.scenario.scenario import Experiment, Scenario, Variant
+    from congelation.scenario.scenario import Scenario
+    from congelation.scenario.parts import Variant
     from congelation.scenario.ssp import write_ssp as export_ssp
     from congelation.sweep.engine import run, sweep
     from congelation.verify.certify import certify
@@ -69,6 +73,7 @@ __all__ = [
     "System",
     "Variant",
     "__version__",
+    "attack",
     "build",
     "certify",
     "check",
@@ -81,6 +86,7 @@ __all__ = [
     "run",
     "simulate",
     "sweep",
+    "tune",
     "verify",
 ]
 
@@ -89,7 +95,7 @@ _PLACES: Mapping[str, str] = {
     "CongelationError": "errors:CongelationError",
     "Connection": "cosim:Connection",
     "Derivative": "cosim.coupling:Derivative",
-    "Experiment": "scenario.scenario:Experiment",
+    "Experiment": "cosim.experiment:Experiment",
     "GaussSeidel": "cosim.coupling:GaussSeidel",
     "Hermite": "cosim.coupling:Hermite",
     "Info": "cosim.info:Info",
@@ -104,7 +110,8 @@ _PLACES: Mapping[str, str] = {
     "Spec": "export.spec:Spec",
     "Status": "cosim:Status",
     "System": "cosim:System",
-    "Variant": "scenario.scenario:Variant",
+    "Variant": "scenario.parts:Variant",
+    "attack": "design.attack:attack",
     "build": "export.build:build",
     "certify": "verify.certify:certify",
     "check": "conformance.runner:check",
@@ -117,6 +124,7 @@ _PLACES: Mapping[str, str] = {
     "run": "sweep.engine:run",
     "simulate": "cosim:simulate",
     "sweep": "sweep.engine:sweep",
+    "tune": "design.tune:tune",
     "verify": "verify.reference:verify",
 }
 """Where each public name is: ``module:name`` below this package."""

@@ -40,6 +40,9 @@ class CongelationError(Exception):
 class InvalidInput(CongelationError, ValueError):
     """Something the user wrote is wrong; the text says what, where, and what would be valid.
 
+    It is one line: what it quotes of a file may hold any characters, and those that cannot be
+    printed are escaped.
+
     Examples
     --------
     >>> cg.new("2nd try", folder)
@@ -47,6 +50,12 @@ class InvalidInput(CongelationError, ValueError):
     ...
     congelation.errors.InvalidInput: NAME '2nd try' is not valid; give letters, digits and _, ...
     """
+
+    def __init__(self, text: str) -> None:
+        line = " ".join(text.splitlines()) if "\n" in text else text
+        if not line.isprintable():
+            line = "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
+        super().__init__(line)
 
 
 class InfeasibleDesign(InvalidInput):

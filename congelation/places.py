@@ -1,14 +1,47 @@
-"""Where the data files of the package are, and whether files can be written somewhere."""
+"""Where the data files of the package are, and files that are written where the user wants them."""
 
 from __future__ import annotations
 
 import importlib.resources
+import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
-from congelation.errors import InvalidInput
+from congelation.errors import CongelationError, InvalidInput
 
-__all__ = ["check_file", "check_folder", "shipped"]
+__all__ = ["StoreError", "check_file", "check_folder", "discard", "replace_whole", "shipped"]
+
+
+class StoreError(CongelationError):
+    """A file could not be written."""
+
+
+def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a temporary file beside `file`, then rename it into place.
+
+    Raises
+    ------
+    StoreError
+        If the file cannot be written: no space, no permission.
+    """
+    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        write(temporary)
+        temporary.replace(file)
+    except OSError as error:
+        raise StoreError(f"{file} cannot be written: {error}") from error
+    finally:
+        discard(temporary)
+
+
+def discard(file: Path) -> None:
+    """Remove a file, if that can be done."""
+    try:
+        file.unlink(missing_ok=True)
+    except OSError:  # the error that brought us here says why; this one would only hide it
+        return
 
 
 def check_folder(option: str, folder: Path) -> None:

@@ -1,17 +1,22 @@
-"""TOML tables that know where they stand, so that every complaint names the file and the path."""
+"""TOML tables that know where they stand, and the records that say what may stand in them.
+
+A `Table` lists the keys of a table of a file: type, default, unit, range and one line of text.
+`Section.read` checks a table of a file against it; `congelation.keys` holds all of them.
+"""
 
 from __future__ import annotations
 
 import math
 import tomllib
+import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TypeGuard, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 from congelation.errors import InvalidInput, nearest
 
-__all__ = ["TIME_UNITS", "Section", "parse_document", "read_document"]
+__all__ = ["TIME_UNITS", "Key", "Section", "Table", "parse_document", "read_document"]
 
 T = TypeVar("T")
 
@@ -22,8 +27,113 @@ LARGEST_INTEGER = 2**63 - 1
 
 
 @dataclass(frozen=True)
+class Key:
+    """A key of a TOML table.
+
+    Parameters
+    ----------
+    name : str
+    kind : str
+        One of `KINDS`: how its value is read.
+    text : str
+        One line on what it means.
+    default : object
+        What it is where it is left out.
+    required : bool
+        Whether it must not be left out.
+    unit : str
+        Of a number.
+    least, most, above, below : float, optional
+        Bounds of a number; the latter two do not belong to the range.
+    choices : tuple of str
+        The values that a text may have; empty: any.
+    table : Table, optional
+        What stands in it, where it holds tables.
+    """
+
+    name: str
+    kind: str
+    text: str
+    default: object = None
+    required: bool = False
+    unit: str = ""
+    least: float | None = None
+    most: float | None = None
+    above: float | None = None
+    below: float | None = None
+    choices: tuple[str, ...] = ()
+    table: Table | None = None
+
+    @property
+    def valid(self) -> str:
+        """A phrase for what may be given."""
+        if self.choices:
+            return "one of: " + ", ".join(self.choices)
+        if self.kind == "time" and self.above == 0.0:
+            return 'a positive time in seconds, or {value = .., unit = ".."}'
+        if self.above is not None and self.below is not None:
+            return f"{KINDS[self.kind]} between {self.above:g} and {self.below:g}"
+        if self.above == 0.0:
+            return KINDS[self.kind].replace("a ", "a positive ", 1)
+        if self.least is not None and self.most is not None:
+            return f"{KINDS[self.kind]} from {self.least:.0f} to {self.most:.0f}"
+        if self.least is not None:
+            return f"{KINDS[self.kind]} of at least {self.least:g}"
+        return KINDS[self.kind]
+
+    def admits(self, number: float) -> bool:
+        """Whether a number is in the range."""
+        return (
+            (self.least is None or number >= self.least)
+            and (self.most is None or number <= self.most)
+            and (self.above is None or number > self.above)
+            and (self.below is None or number < self.below)
+        )
+
+
+KINDS: Mapping[str, str] = {
+    "text": "a string",
+    "texts": "an array of strings",
+    "name or names": "a string, or an array of strings",
+    "number": "a number",
+    "numbers": "an array of numbers",
+    "integer": "a whole number",
+    "boolean": "true or false",
+    "time": 'a number of seconds, or {value = .., unit = ".."}',
+    "table": "a table",
+    "tables": "an array of tables",
+    "value": "a number, true or false, a string, an array of them, or {value = .., unit = ..}",
+    "values": "an array",
+    "terms": "a number, or an array of terms",
+    "matrix": "numbers, or rows of numbers of one length",
+}
+"""How the value of a key is read, and the phrase for it in messages."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """What may stand in a table of a TOML file.
+
+    `extra` is how keys are read that the user names, such as the components of a system; None
+    where there are no keys but those listed.
+    """
+
+    text: str
+    keys: tuple[Key, ...] = ()
+    extra: Key | None = None
+
+    def __getitem__(self, name: str) -> Key:
+        return next(key for key in self.keys if key.name == name)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The keys, in order."""
+        return tuple(key.name for key in self.keys)
+
+
+@dataclass(frozen=True)
 class Section:
-    """A table of a TOML file.
+    """A table of a TOML file, or what takes its place where none was read.
 
     Parameters
     ----------
@@ -35,12 +145,15 @@ class Section:
         Its keys and values.
     elsewhere : mapping
         Paths of the keys that were set in another place, e.g. by a variant.
+    spelled : callable
+        How messages write a path.
     """
 
     file: str
     path: str
     data: Mapping[str, object]
     elsewhere: Mapping[str, str] = field(default_factory=dict)
+    spelled: Callable[[str], str] = str
 
     def at(self, key: str) -> str:
         """The path of a key of this table; of the table itself where the key is empty."""
@@ -50,11 +163,15 @@ class Section:
 
     def place(self, key: str) -> str:
         """File and path of a key, for messages."""
-        return f"{self.file}: {self.at(key)}"
+        return f"{self.file}: {self.spelled(self.at(key))}"
 
     def error(self, key: str, text: str) -> InvalidInput:
         """The error to raise about a key."""
         return InvalidInput(f"{self.place(key)} {text}")
+
+    def within(self, text: str) -> InvalidInput:
+        """The error to raise about something in this table."""
+        return InvalidInput(f"{self.place('')}: {text}")
 
     def wrong(self, key: str, valid: str) -> InvalidInput:
         """The error to raise about a value that is not `valid`."""
@@ -75,6 +192,44 @@ class Section:
                 raise self.error(key, "is missing")
         return self
 
+    def read(self, table: Table) -> dict[str, Any]:
+        """The values of all keys, checked; tables among them are sections.
+
+        Raises
+        ------
+        InvalidInput
+            An unknown key, one that is missing, a value of another type or out of range.
+        """
+        if table.extra is None:
+            self.only(table.names)
+        for key in table.keys:
+            if key.required and key.name not in self.data:
+                raise self.error(key.name, f"is missing; give {key.valid}")
+        return {key.name: self.value(key) for key in table.keys}
+
+    def value(self, key: Key) -> Any:
+        """The value of one key, checked; its default where it is left out.
+
+        Raises
+        ------
+        InvalidInput
+            A value of another type or out of range.
+        """
+        name = key.name
+        if name not in self.data:
+            return _EMPTY[key.kind](self, name) if key.kind in _EMPTY else key.default
+        value = self.data[name]
+        if key.kind == "integer" and (isinstance(value, bool) or not isinstance(value, int)):
+            raise self.wrong(name, key.valid)
+        if key.kind != "integer" or key.most is None:
+            value = _READERS[key.kind](self, name)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            if not key.admits(value):
+                raise self.wrong(name, key.valid)
+        elif key.choices and value not in key.choices:
+            raise self.error(name, f"= '{value}' is not known; {nearest(str(value), key.choices)}")
+        return value
+
     def without(self, key: str) -> Section:
         """This table less one key."""
         return replace(self, data={k: v for k, v in self.data.items() if k != key})
@@ -84,7 +239,7 @@ class Section:
         value = self.data.get(key, {})
         if not isinstance(value, Mapping):
             raise self.wrong(key, "a table")
-        return Section(self.file, self.at(key), value)
+        return replace(self, path=self.at(key), data=value, elsewhere={})
 
     def sections(self, key: str) -> Iterator[Section]:
         """The tables of the array of tables under `key`."""
@@ -92,7 +247,7 @@ class Section:
         if not isinstance(value, list) or not all(isinstance(v, Mapping) for v in value):
             raise self.wrong(key, f"an array of tables, [[{self.at(key)}]]")
         for index, table in enumerate(value, start=1):
-            yield Section(self.file, f"{self.at(key)}[{index}]", table)
+            yield replace(self, path=f"{self.at(key)}[{index}]", data=table, elsewhere={})
 
     def subsections(self) -> Iterator[tuple[str, Section]]:
         """The tables in this one, by key."""
@@ -115,6 +270,13 @@ class Section:
         value = self.data.get(key, [])
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
             raise self.wrong(key, "an array of strings")
+        return tuple(value)
+
+    def array(self, key: str) -> tuple[object, ...]:
+        """The array under `key`, with at least one entry."""
+        value = self.data.get(key)
+        if not isinstance(value, list) or not value:
+            raise self.wrong(key, "an array with at least one value")
         return tuple(value)
 
     def numbers(self, key: str) -> tuple[float, ...]:
@@ -182,16 +344,44 @@ class Section:
             raise InvalidInput(f"{self.place(key)}: {error}") from error
 
 
+_READERS: Mapping[str, Callable[[Section, str], Any]] = {
+    "text": Section.text,
+    "texts": Section.texts,
+    "name or names": lambda s, key: (
+        s.texts(key) if isinstance(s.data[key], list) else (s.text(key),)
+    ),
+    "number": Section.number,
+    "numbers": Section.numbers,
+    "integer": Section.integer,
+    "boolean": lambda s, key: s.boolean(key, False),
+    "time": Section.seconds,
+    "table": Section.section,
+    "tables": lambda s, key: tuple(s.sections(key)),
+    "value": lambda s, key: s.data[key],
+    "values": lambda s, key: s.array(key),
+    "terms": lambda s, key: s.data[key],
+    "matrix": lambda s, key: s.data[key],
+}
+
+
+_EMPTY = {kind: _READERS[kind] for kind in ("table", "tables")}
+"""Where these are left out, there is an empty one."""
+
+
 def read_document(file: Path) -> tuple[str, Section]:
     """The text of a TOML file, and its outermost table.
 
     Raises
     ------
     InvalidInput
-        If the file cannot be read or is not TOML.
+        If the file cannot be read or is not TOML; what else it is, if that is clear.
     """
+    if file.is_dir():
+        raise InvalidInput(f"{file}: this is a folder; give a file (.toml)")
+    if zipfile.is_zipfile(file):
+        raise InvalidInput(f"{file}: this is {_archive_kind(file)}")
     try:
-        text = file.read_text(encoding="utf-8")
+        text = file.read_text(encoding="utf-8-sig")  # with or without a byte order mark
     except FileNotFoundError as error:
         raise InvalidInput(f"{file}: no such file; {_neighbours(file)}") from error
     except (OSError, UnicodeDecodeError) as error:
@@ -215,6 +405,17 @@ def _is_finite(value: object) -> TypeGuard[float]:
         return math.isfinite(value)
     except OverflowError:  # a whole number beyond the largest float
         return False
+
+
+def _archive_kind(file: Path) -> str:
+    """What an archive is, and what to do with it."""
+    with zipfile.ZipFile(file) as archive:
+        names = archive.namelist()
+    if "modelDescription.xml" in names:
+        return f"an FMU; check it with: congelation check {file}, or name it in a scenario"
+    if "SystemStructure.ssd" in names:
+        return "an SSP archive; it can be run if its name ends in .ssp"
+    return "a ZIP archive; give a TOML file"
 
 
 def _neighbours(file: Path) -> str:

@@ -128,7 +128,7 @@ def test_unreadable_files(tmp_path: Path) -> None:
         read_document(tmp_path / "deep.toml")
     with pytest.raises(InvalidInput, match=r"latin\.toml: cannot be read as UTF-8 text"):
         read_document(tmp_path / "latin.toml")
-    with pytest.raises(InvalidInput, match="cannot be read as UTF-8 text"):
+    with pytest.raises(InvalidInput, match="this is a folder; give a file"):
         read_document(tmp_path)
     with pytest.raises(InvalidInput, match=r"give the path of a scenario \(\.toml\)"):
         read_document(tmp_path / "absent" / "fig2.toml")

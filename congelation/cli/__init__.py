@@ -16,6 +16,7 @@ from congelation.cli.design import attack, tune
 from congelation.cli.designs import build, certify, examples, info, new
 from congelation.cli.results import export, ls, report, show
 from congelation.cli.runs import export_ssp, run, sweep
+from congelation.cli.schema import schema
 from congelation.cli.shared import BAD_INPUT, EXIT_CODES, FAILED, complain, interruptible
 from congelation.conformance.command import check
 from congelation.errors import CongelationError, InvalidInput
@@ -48,6 +49,7 @@ for command in (
     show,
     export,
     check,
+    schema,
 ):
     app.command()(interruptible(command))
 app.command("export-ssp")(interruptible(export_ssp))

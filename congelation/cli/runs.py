@@ -26,9 +26,10 @@ from congelation.results.identity import code_version
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
 from congelation.scenario.load import load_scenario
+from congelation.scenario.scenario import Scenario
 from congelation.scenario.ssp import write_ssp
 from congelation.sweep.cluster import Cluster
-from congelation.sweep.engine import carry_out, read, result_folder
+from congelation.sweep.engine import carry_out, result_folder
 from congelation.sweep.estimate import estimate
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Local, Workers
@@ -48,6 +49,8 @@ Timeout = Annotated[
 ProgressForm = Annotated[Form, typer.Option(help="A bar, one line of JSON at a time, or nothing.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON in place of tables.")]
 
+Strict = Annotated[bool, typer.Option("--strict", help="Take warnings for errors.")]
+
 MEASURED = 50
 """A sweep of so many runs begins with an estimate of what it takes, which itself takes seconds."""
 
@@ -62,9 +65,10 @@ def run(
     timeout: Timeout = None,
     progress: ProgressForm = Form.BAR,
     as_json: Json = False,
+    strict: Strict = False,
 ) -> None:
     """Run all variants of a scenario: summary, trajectories and figures."""
-    found = read(scenario)
+    found = _load(scenario, strict=strict)
     folder = result_folder(found, out)
     with _interrupts():
         plan = plan_study(found, folder, swept=False, verify=verify, timeout=_positive(timeout))
@@ -118,13 +122,14 @@ def sweep(
     timeout: Timeout = None,
     progress: ProgressForm = Form.BAR,
     as_json: Json = False,
+    strict: Strict = False,
 ) -> None:
     """Run all variants at every point of the scenario's sweep, in worker processes."""
     if workers is not None and scheduler is not None:
         raise InvalidInput("give --workers or --scheduler, not both")
     if ship and scheduler is None:
         raise InvalidInput("--ship needs a --scheduler to send FMUs to; processes here have them")
-    found = read(scenario)
+    found = _load(scenario, strict=strict)
     folder = result_folder(found, out)
     again = [as_status(status) for status in retry or ()]
     with _interrupts():
@@ -164,9 +169,15 @@ def export_ssp(
     derivatives: Annotated[
         bool, typer.Option("--derivatives", help="Connect der(..) outputs to der(..) inputs, too.")
     ] = False,
+    step: Annotated[
+        float | None,
+        typer.Option(
+            help="Communication step for other tools, in s.", show_default="the experiment's"
+        ),
+    ] = None,
 ) -> None:
     """Write a scenario as a system that other tools can open: SSP 1.0 with the FMUs inside."""
-    write_ssp(load_scenario(scenario), file, variant, derivatives=derivatives)
+    write_ssp(load_scenario(scenario), file, variant, derivatives=derivatives, step=step)
     print(file)
 
 
@@ -178,6 +189,22 @@ def _interrupts() -> Iterator[None]:
     except KeyboardInterrupt as error:
         complain("interrupted")
         raise typer.Exit(INTERRUPTED) from error
+
+
+def _load(file: Path, *, strict: bool) -> Scenario:
+    """The scenario, after telling what may be a mistake in it.
+
+    Raises
+    ------
+    InvalidInput
+        The first warning, if they are to be errors.
+    """
+    scenario = load_scenario(file)
+    if strict and scenario.warnings:
+        raise InvalidInput(f"{scenario.warnings[0]} (--strict)")
+    for warning in scenario.warnings:
+        complain(f"warning: {warning}")
+    return scenario
 
 
 def _positive(timeout: float | None) -> float | None:

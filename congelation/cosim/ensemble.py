@@ -252,7 +252,12 @@ class Ensemble:
             columns = slice(begin, begin + len(links))
             references = [link.input.reference for link in links]
             # Sorted by target, so that a slave's part of C[0] can be sent from where it stands.
-            hold = [slave.writer(references, self.C[0, columns])] if links else []
+            if any(link.converts for link in links):
+                values = np.zeros(len(links))
+                slots = [(0, k) for k in range(begin, columns.stop)]
+                hold = [self._gathered(slots, values, slave.writer(references, values))]
+            else:
+                hold = [slave.writer(references, self.C[0, columns])] if links else []
             self.columns.append(columns)
             self.hold.append(_chained(hold))
             self.write.append(self._writer(slave, columns))
@@ -299,15 +304,24 @@ class Ensemble:
         return _chained(calls)
 
     def _gathered(self, slots: Sequence[tuple[int, int]], values: Floats, send: Call) -> Call:
-        """Take the entries (order, link) of C, and send them."""
+        """Take the entries (order, link) of C, and send them in the units of the inputs."""
         C = self.C.reshape(-1)
         place = np.array([order * len(self.links) + k for order, k in slots], np.intp)
+        factor = np.array([self.links[k].factor for _, k in slots])
+        # A derivative has no offset.
+        offset = np.array([0.0 if order else self.links[k].offset for order, k in slots])
 
         def write() -> None:
             C.take(place, out=values, mode="clip")
             send()
 
-        return write
+        def write_converted() -> None:
+            C.take(place, out=values, mode="clip")
+            np.multiply(values, factor, out=values)
+            np.add(values, offset, out=values)
+            send()
+
+        return write_converted if any(self.links[k].converts for _, k in slots) else write
 
     def _when_stepping(self, call: Call) -> Call:
         """A call that FMI 2.0 allows once initialisation is over."""

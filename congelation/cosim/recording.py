@@ -248,6 +248,7 @@ class Columns:
         links = {(link.target, link.input.name): k for k, link in enumerate(ensemble.links)}
         places, slopes = [], []
         self._latched: list[tuple[int, int]] = []
+        self._converted: list[tuple[int, float, float]] = []
         self._slow: list[tuple[int, Recorded]] = []
         for column, item in enumerate(recorded):
             link = links.get((item.member, item.variable.name))
@@ -262,10 +263,14 @@ class Columns:
                 # At a communication point a driven input has the value of its source.
                 places.append(int(ensemble.source[link]))
                 source = ensemble.links[link]
-                slope = ensemble.slope_place(source.source, source.output.name)
+                if not source.converts:  # else the derivative is in the units of the output
+                    slope = ensemble.slope_place(source.source, source.output.name)
             else:
                 places.append(ensemble.place(item.member, item.variable.name))
                 slope = ensemble.slope_place(item.member, item.variable.name)
+            if link is not None and ensemble.links[link].converts:
+                units = ensemble.links[link]
+                self._converted.append((column, units.factor, units.offset))
             slopes.append(slope)
         self._places = np.array(places, np.intp)
         every = np.array(slopes, np.intp)
@@ -279,6 +284,8 @@ class Columns:
             ensemble.Y.take(self._places, out=row, mode="clip")
         for column, link in self._latched:
             row[column] = ensemble.C[0, link]
+        for column, factor, offset in self._converted:
+            row[column] = factor * row[column] + offset
         for column, item in self._slow:
             slave = ensemble.slaves[item.member]
             (value,) = slave.get_values(item.variable.type, [item.variable.reference])

@@ -14,6 +14,7 @@ from pathlib import Path
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import Description, Variable, describe
 from congelation.fmi.start import StartValue, resolve_start
+from congelation.fmi.units import Conversion, conversion
 
 __all__ = [
     "MAX_DERIVATIVE",
@@ -92,6 +93,11 @@ class Link:
     source_derivatives, target_derivatives : tuple of (Variable or None), length MAX_DERIVATIVE
         The outputs der(source), der(source,2), .. and the inputs der(target), .. of order 1, 2, 3
         that exist.
+    factor, offset : float
+        The input is ``factor * output + offset`` where their units differ; of derivatives, the
+        factor alone.
+    doubt : str
+        What is doubtful about their units, empty if nothing is.
     """
 
     source: int
@@ -101,6 +107,14 @@ class Link:
     name: str
     source_derivatives: tuple[Variable | None, ...]
     target_derivatives: tuple[Variable | None, ...]
+    factor: float = 1.0
+    offset: float = 0.0
+    doubt: str = ""
+
+    @property
+    def converts(self) -> bool:
+        """Whether the units of the two ends differ."""
+        return (self.factor, self.offset) != (1.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -252,6 +266,7 @@ def _links(
     inputs = _elements(members[target].description, input_name, place)
     for output, input_ in _pairs(outputs, output_name, inputs, input_name, place):
         _check_pair(output, input_, place)
+        converted = _conversion(members[source], output, members[target], input_, place)
         yield Link(
             source,
             output,
@@ -260,6 +275,9 @@ def _links(
             f"{names[source]}.{output.name} -> {names[target]}.{input_.name}",
             _derivatives(members[source].description, output, "output"),
             _derivatives(members[target].description, input_, "input"),
+            converted.factor,
+            converted.offset,
+            converted.doubt,
         )
 
 
@@ -297,6 +315,19 @@ def _check_pair(output: Variable, input_: Variable, place: str) -> None:
             f"{place}: '{output.name}' is {output.type} and '{input_.name}' is "
             f"{input_.type}; the types must agree"
         )
+
+
+def _conversion(
+    source: Member, output: Variable, target: Member, input_: Variable, place: str
+) -> Conversion:
+    """How values of the output become values of the input; only Reals have units."""
+    if output.type != "Real":
+        return Conversion()
+    units = source.description.unit(output.unit), target.description.unit(input_.unit)
+    try:
+        return conversion(*units, relative=output.relative or input_.relative)
+    except InvalidInput as error:
+        raise InvalidInput(f"{place}: {error}") from error
 
 
 def _derivatives(

@@ -34,7 +34,8 @@ class ScalarVariable:
     """One row of the table.
 
     `depends` names the variables that an output or calculated parameter depends on: inputs at
-    every communication point, parameters besides at initialisation.
+    every communication point, parameters besides at initialisation. `open` marks inputs that are
+    meant to be left unconnected, unless a tool knows what they are for.
     """
 
     name: str
@@ -46,6 +47,7 @@ class ScalarVariable:
     description: str
     unit: str = ""
     depends: frozenset[str] = frozenset()
+    open: bool = False
 
 
 @dataclass(frozen=True)
@@ -193,8 +195,10 @@ def _per_second(unit: str, order: int = 1) -> str:
     return f"{unit}/{power}" if unit else f"1/{power}"
 
 
-def _input(name: str, description: str, unit: str) -> ScalarVariable:
-    return ScalarVariable(name, "Real", "input", "continuous", None, 0.0, description, unit)
+def _input(name: str, description: str, unit: str, *, open: bool = False) -> ScalarVariable:
+    return ScalarVariable(
+        name, "Real", "input", "continuous", None, 0.0, description, unit, open=open
+    )
 
 
 def _inputs(model: Model) -> Iterable[ScalarVariable]:
@@ -209,14 +213,15 @@ def _inputs(model: Model) -> Iterable[ScalarVariable]:
         for name, unit, _ in proper:
             derivative = f"der({name})" if order == 1 else f"der({name},{order})"
             about = f"Derivative of order {order} of {name} at the communication point; 0: none"
-            yield _input(derivative, about, _per_second(unit, order))
+            yield _input(derivative, about, _per_second(unit, order), open=True)
 
 
 def _dtheta(model: Model) -> Iterable[ScalarVariable]:
     if model.theta is None:
         return
     for j, unit in enumerate(model.theta.units, start=1):
-        yield _input(f"dtheta[{j}]", f"Added to the profile of theta[{j}], held over a step", unit)
+        about = f"Added to the profile of theta[{j}], held over a step"
+        yield _input(f"dtheta[{j}]", about, unit, open=True)
 
 
 def _output(name: str, description: str, unit: str, depends: frozenset[str]) -> ScalarVariable:

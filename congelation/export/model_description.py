@@ -12,6 +12,7 @@ from collections.abc import Iterable
 from xml.etree import ElementTree
 
 from congelation.export.interface import Interface, ScalarVariable
+from congelation.fmi.description import ANNOTATION
 from congelation.fmi.units import base_unit
 
 __all__ = ["complete"]
@@ -47,6 +48,7 @@ def complete(xml: bytes, interface: Interface, digest: str, tool: str) -> bytes:
     categories = _child(root, "LogCategories")
     experiment = ElementTree.Element("DefaultExperiment", _EXPERIMENT)
     root.insert(list(root).index(categories) + 1, experiment)
+    root.insert(list(root).index(experiment) + 1, _annotations(interface.variables))
     _complete_variables(_child(root, "ModelVariables"), interface.variables)
     _replace_structure(_child(root, "ModelStructure"), interface.variables)
     ElementTree.indent(root)
@@ -67,6 +69,17 @@ def _units(variables: Iterable[ScalarVariable]) -> ElementTree.Element:
         element = ElementTree.SubElement(definitions, "Unit", {"name": unit})
         ElementTree.SubElement(element, "BaseUnit", base_unit(unit))
     return definitions
+
+
+def _annotations(variables: Iterable[ScalarVariable]) -> ElementTree.Element:
+    """The inputs that are meant to be left alone, for masters that name forgotten connections."""
+    annotations = ElementTree.Element("VendorAnnotations")
+    tool = ElementTree.SubElement(annotations, "Tool", {"name": ANNOTATION})
+    inputs = ElementTree.SubElement(tool, "OpenInputs")  # a Tool holds one element
+    for variable in variables:
+        if variable.open:
+            ElementTree.SubElement(inputs, "Input", {"name": variable.name})
+    return annotations
 
 
 def _complete_variables(parent: ElementTree.Element, variables: Iterable[ScalarVariable]) -> None:

@@ -40,7 +40,8 @@ from pathlib import Path
 
 import numpy as np
 
-from congelation.errors import InvalidInput, nearest
+from congelation import keys
+from congelation.errors import InvalidInput
 from congelation.export.equations import Special
 from congelation.export.forms import FORMS, Form, Structure
 from congelation.export.interface import ProfileSlots
@@ -51,9 +52,6 @@ from congelation.theory.values import complete_values
 from congelation.toml import Section, read_document
 
 __all__ = ["FmuSpec", "Spec", "read_spec"]
-
-LARGEST_ORDER = 100
-"""Of n, m and p: what the recursions derive outgrows any memory long before."""
 
 Units = Mapping[str, str | list[str]]
 
@@ -115,15 +113,15 @@ def read_spec(file: Path) -> Spec:
         Naming the file, the path in it, and what would be valid.
     """
     _, top = read_document(file)
-    top.only(("title", "form", "structure", "units", "plant", "controller")).require("form")
-    name = top.text("form")
-    if name not in FORMS:
-        raise top.error("form", f"= '{name}' is not known; {nearest(name, FORMS)}")
+    if "components" in top.data and "form" not in top.data:
+        raise InvalidInput(f"{file}: this is a scenario (congelation run {file}); give a spec")
+    read = top.read(keys.SPEC)
+    name: str = read["form"]
     form = FORMS[name]
-    structure = _structure(top.section("structure"), form)
+    structure = _structure(read["structure"], form)
     plant, controller, special = top.attempt("structure", lambda: form.models(structure))
-    units = _units(top.section("units"), plant, controller)
-    sections = top.section("plant"), top.section("controller")
+    units = _units(read["units"], plant, controller)
+    sections = read["plant"], read["controller"]
     blocks = (
         _plant(sections[0], plant.with_units(units), file.parent),
         _block(sections[1], controller.with_units(units), special),
@@ -132,27 +130,22 @@ def read_spec(file: Path) -> Spec:
         raise sections[1].error(
             "name", f"= '{blocks[1].name}' is the plant's too; give the two FMUs different names"
         )
-    return Spec(file.stem, top.text("title", file.stem), name, structure, *blocks)
+    return Spec(file.stem, read["title"] or file.stem, name, structure, *blocks)
 
 
 def _structure(section: Section, form: Form) -> Structure:
     section.only(form.keys).require(*(key for key in form.keys if key not in form.optional))
     structure: dict[str, object] = dict(form.optional)
     for key in section.data:
-        structure[key] = _READERS[key](section, key)
+        value = section.value(keys.STRUCTURE[key])
+        reader = _READERS.get(key)
+        structure[key] = value if reader is None else reader(section, key)
     return structure
-
-
-def _order(section: Section, key: str) -> int:
-    value = section.data[key]
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= LARGEST_ORDER:
-        raise section.wrong(key, f"a whole number up to {LARGEST_ORDER}")
-    return value
 
 
 def _phibar(section: Section, key: str) -> list[list[list[float]]]:
     """phibar_{i,j} of (10) from a table ``"i,j" = [..p numbers..]``; those left out are 0."""
-    n, p = _order(section, "n"), _order(section, "p")
+    n, p = (section.value(keys.STRUCTURE[name]) for name in ("n", "p"))
     phibar = np.zeros((n, n, p))
     table = section.section(key)
     valid = [f"{i},{j}" for i in range(1, n + 1) for j in range(1, i + 1)]
@@ -178,19 +171,7 @@ def _numbers(section: Section, key: str) -> object:
     return numbers.tolist()
 
 
-def _text(section: Section, key: str) -> str:
-    return section.text(key)
-
-
-_READERS = {
-    "n": _order,
-    "m": _order,
-    "p": _order,
-    "phibar": _phibar,
-    "A": _numbers,
-    "B": _numbers,
-    "filter": _text,
-}
+_READERS = {"phibar": _phibar, "A": _numbers, "B": _numbers}
 
 
 def _units(section: Section, *models: Model) -> Units:
@@ -212,11 +193,11 @@ def _units(section: Section, *models: Model) -> Units:
 
 
 def _block(section: Section, model: Model, special: Special | None) -> FmuSpec:
-    section.only(("name", "start"))
-    name = section.text("name", model.name)
+    read = section.read(keys.CONTROLLER)
+    name: str = read["name"] or model.name
     if not name.isidentifier():
         raise section.wrong("name", "a C identifier: letters, digits and _")
-    start = section.section("start")
+    start: Section = read["start"]
     changed = start.attempt("", lambda: model.with_defaults(start.data))
     # An FMU whose own defaults it would refuse is not built.
     start.attempt("", lambda: _check_defaults(model, start.data, special))
@@ -224,11 +205,10 @@ def _block(section: Section, model: Model, special: Special | None) -> FmuSpec:
 
 
 def _plant(section: Section, model: Model, base: Path) -> FmuSpec:
-    section.only(("name", "start", "profile"))
-    own = {key: value for key, value in section.data.items() if key != "profile"}
-    block = _block(Section(section.file, section.path, own), model, None)
+    profile: Section = section.read(keys.PLANT)["profile"]
+    block = _block(section.without("profile"), model, None)
     names = model.theta.names if model.theta is not None else ()
-    table = section.section("profile").only(names)
+    table = profile.only(names)
     profiles = tuple(_profile(table, name, base) for name in names)
     slots = tuple(ProfileSlots(p, _slots(p)) for p in profiles)
     return replace(block, profiles=slots, stated=block.stated.union(table.data))

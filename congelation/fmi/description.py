@@ -6,15 +6,22 @@ import hashlib
 import os
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 
 import fmpy
+from lxml import etree
 
 from congelation.errors import InvalidInput, nearest
+from congelation.fmi.archive import DAMAGED, check_archive
+from congelation.fmi.units import BASE, Unit, unit_named
 
-__all__ = ["Description", "Variable", "describe"]
+__all__ = ["ANNOTATION", "Description", "Variable", "describe"]
+
+
+ANNOTATION = "congelation"
+"""Name of the tool in annotations of FMUs."""
 
 
 @dataclass(frozen=True)
@@ -32,6 +39,8 @@ class Variable:
         Size at which a Real counts as of order one; 1 where the FMU does not say.
     unit : str
         Unit name, empty where the FMU does not say.
+    relative : bool
+        Whether values are differences, to which the offset of a unit does not apply.
     """
 
     name: str
@@ -42,6 +51,7 @@ class Variable:
     initial: str | None
     nominal: float = 1.0
     unit: str = ""
+    relative: bool = False
 
     @property
     def settable(self) -> bool:
@@ -66,6 +76,10 @@ class Description:
     dependencies : mapping of str to (tuple of str or None)
         For each output, the variables on which it depends directly; None where the FMU does not
         say, which means all of them.
+    units : mapping of str to Unit
+        Those that the FMU defines, the ones that it displays included.
+    open_inputs : frozenset of str
+        Inputs that the FMU says are meant to be left alone, by an annotation of this project.
     """
 
     path: Path
@@ -79,6 +93,15 @@ class Description:
     can_vary_step: bool
     once_per_process: bool
     max_output_derivative_order: int
+    units: Mapping[str, Unit] = field(default_factory=dict)
+    open_inputs: frozenset[str] = frozenset()
+
+    def unit(self, name: str) -> Unit | None:
+        """The unit of a name, as the FMU defines it, else as is usual; None for no name."""
+        if not name:
+            return None
+        found = self.units.get(name)
+        return found if found is not None else unit_named(name)
 
     def variable(self, name: str, place: str) -> Variable:
         """The variable `name`, or InvalidInput that names the nearest one."""
@@ -101,6 +124,8 @@ def describe(path: Path) -> Description:
         The file is missing, is no FMU, or offers no FMI 2.0 co-simulation.
     """
     path = Path(path)
+    if path.is_dir():
+        raise InvalidInput(f"{path}: this is a folder; give an FMU (.fmu)")
     if not path.is_file():
         raise InvalidInput(
             f"no FMU at {path}; build it with: congelation build SPEC.toml; or correct the path"
@@ -116,18 +141,29 @@ _DESCRIPTIONS: dict[tuple[str, int, int], Description] = {}
 
 
 def _read(path: Path) -> Description:
+    check_archive(path, "an FMU")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            content = archive.read("modelDescription.xml")
+    except (*DAMAGED, KeyError) as error:
+        raise InvalidInput(f"{path} is not an FMU: {error}") from error
+    try:
+        # No entities and no network: an FMU may come from anyone.
+        root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
+    except etree.XMLSyntaxError as error:
+        raise InvalidInput(f"{path}: unreadable modelDescription.xml: {error}") from error
+    # FMPy reads other versions as well, or stumbles over what they have not got.
+    if (version := root.get("fmiVersion")) != "2.0":
+        raise InvalidInput(f"{path}: an FMU of FMI {version}; one of FMI 2.0 is needed")
     try:
         model = fmpy.read_model_description(os.fspath(path), validate=False)
-    except (zipfile.BadZipFile, KeyError) as error:
-        raise InvalidInput(f"{path} is not an FMU: {error}") from error
     except Exception as error:  # fmpy raises bare Exception for whatever it cannot read
         raise InvalidInput(f"{path}: unreadable modelDescription.xml: {error}") from error
     simulation = model.coSimulation
-    if model.fmiVersion != "2.0" or simulation is None:
-        raise InvalidInput(
-            f"{path}: FMI {model.fmiVersion} without 2.0 co-simulation; "
-            "an FMI 2.0 co-simulation FMU is needed"
-        )
+    if simulation is None:
+        raise InvalidInput(f"{path}: an FMU for model exchange alone; co-simulation is needed")
+    if {*str(simulation.modelIdentifier)} & {"/", "\\", "\0"}:  # it names files
+        raise InvalidInput(f"{path}: modelIdentifier '{simulation.modelIdentifier}' is not valid")
     return Description(
         path=path,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
@@ -140,7 +176,32 @@ def _read(path: Path) -> Description:
         can_vary_step=simulation.canHandleVariableCommunicationStepSize,
         once_per_process=simulation.canBeInstantiatedOnlyOncePerProcess,
         max_output_derivative_order=simulation.maxOutputDerivativeOrder,
+        units=MappingProxyType(_units(model)),
+        open_inputs=_open_inputs(root),
     )
+
+
+def _units(model: fmpy.model_description.ModelDescription) -> dict[str, Unit]:
+    """The UnitDefinitions; a display value is factor * v + offset of the unit's own values v."""
+    found: dict[str, Unit] = {}
+    for unit in model.unitDefinitions:
+        base = unit.baseUnit
+        if base is None:
+            continue
+        exponents = tuple(int(getattr(base, symbol) or 0) for symbol in BASE)
+        factor, offset = float(base.factor), float(base.offset)
+        found[unit.name] = Unit(unit.name, exponents, factor, offset)
+        for shown in unit.displayUnits:
+            scale = factor / float(shown.factor)
+            shift = offset - scale * float(shown.offset)
+            found.setdefault(shown.name, Unit(shown.name, exponents, scale, shift))
+    return found
+
+
+def _open_inputs(root: etree._Element) -> frozenset[str]:
+    """The names in ``VendorAnnotations/Tool[@name='congelation']/OpenInputs/Input``."""
+    found = root.findall(f"VendorAnnotations/Tool[@name='{ANNOTATION}']/OpenInputs/Input")
+    return frozenset(element.get("name", "") for element in found)
 
 
 def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
@@ -152,7 +213,12 @@ def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
         variability=variable.variability,
         initial=variable.initial,
         nominal=abs(float(variable.nominal or 1.0)) or 1.0,
-        unit=variable.unit or "",
+        unit=variable.unit or (getattr(variable.declaredType, "unit", None) or ""),
+        relative=bool(
+            getattr(variable.declaredType, "relativeQuantity", False)
+            if variable.relativeQuantity is None
+            else variable.relativeQuantity
+        ),
     )
 
 

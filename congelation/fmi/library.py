@@ -19,6 +19,7 @@ from fmpy.fmi2 import fmi2CallbackFreeMemoryTYPE as FreeMemory
 from fmpy.logging import addLoggerProxy
 
 from congelation.errors import InvalidInput
+from congelation.fmi.archive import unpack_archive
 from congelation.fmi.description import Description
 
 __all__ = ["ERROR", "Log", "Message", "load", "unpack"]
@@ -69,10 +70,7 @@ def unpack(description: Description) -> Path:
         folder = Path(tempfile.mkdtemp(prefix=f"{description.model_identifier}_"))
         # Unlike atexit, this also runs at the end of a worker process, and only in its own.
         multiprocessing.util.Finalize(None, shutil.rmtree, (folder, True), exitpriority=1)
-        try:
-            fmpy.extract(description.path, folder)
-        except Exception as error:  # fmpy raises bare Exception
-            raise InvalidInput(f"{description.path}: cannot be unpacked: {error}") from error
+        unpack_archive(description.path, folder, "an FMU")
         _FOLDERS[description.sha256] = folder
     return _FOLDERS[description.sha256]
 

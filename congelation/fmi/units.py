@@ -1,14 +1,18 @@
-"""Unit names as products of SI base units, for the UnitDefinitions of modelDescription.xml."""
+"""Units as FMI's UnitDefinitions hold them: products of SI base units, with a factor and an offset.
+
+FMI 2.0.4, section 2.2.2: a value v in a unit is factor * v + offset in SI base units.
+"""
 
 from __future__ import annotations
 
 import math
 import re
 from collections import Counter
+from dataclasses import dataclass
 
 from congelation.errors import InvalidInput, nearest
 
-__all__ = ["base_unit"]
+__all__ = ["BASE", "Conversion", "Unit", "base_unit", "conversion", "unit_named"]
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 # Exponents of the base units, and the factor to them.
@@ -21,11 +25,135 @@ _DERIVED: dict[str, tuple[float, dict[str, int]]] = {
     "Ohm": (1.0, {"kg": 1, "m": 2, "s": -3, "A": -2}),
     "H": (1.0, {"kg": 1, "m": 2, "s": -2, "A": -2}),
     "Hz": (1.0, {"s": -1}),
+    "Pa": (1.0, {"kg": 1, "m": -1, "s": -2}),
+    "bar": (1e5, {"kg": 1, "m": -1, "s": -2}),
+    "C": (1.0, {"A": 1, "s": 1}),
+    "F": (1.0, {"kg": -1, "m": -2, "s": 4, "A": 2}),
+    "T": (1.0, {"kg": 1, "s": -2, "A": -1}),
+    "Wb": (1.0, {"kg": 1, "m": 2, "s": -2, "A": -1}),
     "deg": (math.pi / 180.0, {"rad": 1}),
+    "rev": (2.0 * math.pi, {"rad": 1}),
+    "rpm": (math.pi / 30.0, {"rad": 1, "s": -1}),
     "g": (1e-3, {"kg": 1}),
+    "t": (1e3, {"kg": 1}),
+    "mm": (1e-3, {"m": 1}),
+    "cm": (1e-2, {"m": 1}),
+    "km": (1e3, {"m": 1}),
+    "ms": (1e-3, {"s": 1}),
+    "us": (1e-6, {"s": 1}),
+    "min": (60.0, {"s": 1}),
+    "h": (3600.0, {"s": 1}),
+    "kN": (1e3, {"kg": 1, "m": 1, "s": -2}),
+    "kW": (1e3, {"kg": 1, "m": 2, "s": -3}),
+    "kPa": (1e3, {"kg": 1, "m": -1, "s": -2}),
+    "mA": (1e-3, {"A": 1}),
+    "mV": (1e-3, {"kg": 1, "m": 2, "s": -3, "A": -1}),
     **{name: (1.0, {name: 1}) for name in BASE},
 }
 _FACTOR = re.compile(r"([A-Za-z]+|1)(-?\d{1,2})?")
+
+
+_WITH_OFFSET = {"degC": (1.0, 273.15), "degF": (5.0 / 9.0, 459.67 * 5.0 / 9.0)}
+"""Factor and offset of temperatures to kelvin; they form no products."""
+
+
+@dataclass(frozen=True)
+class Unit:
+    """A unit with its definition.
+
+    Parameters
+    ----------
+    name : str
+    exponents : tuple of int, or None
+        Of the base units in the order of `BASE`; None where nothing defines the unit.
+    factor, offset : float
+        A value v in this unit is ``factor * v + offset`` in base units.
+    """
+
+    name: str
+    exponents: tuple[int, ...] | None = None
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """From one unit to another: ``factor * v + offset``; of a derivative, ``factor * v``.
+
+    `doubt` is a warning where the units cannot be compared, or are equal up to radians; empty if
+    there is none.
+    """
+
+    factor: float = 1.0
+    offset: float = 0.0
+    doubt: str = ""
+
+
+def unit_named(name: str) -> Unit:
+    """The unit of a name that nothing defines: one that `base_unit` knows, or a temperature."""
+    if name in _WITH_OFFSET:
+        kelvin = tuple(int(symbol == "K") for symbol in BASE)
+        return Unit(name, kelvin, *_WITH_OFFSET[name])
+    try:
+        found = base_unit(name)
+    except InvalidInput:
+        return Unit(name)
+    exponents = tuple(int(found.get(symbol, 0)) for symbol in BASE)
+    return Unit(name, exponents, float(found.get("factor", 1.0)))
+
+
+def conversion(source: Unit | None, target: Unit | None, *, relative: bool = False) -> Conversion:
+    """How values in one unit become values in another.
+
+    Parameters
+    ----------
+    source, target : Unit or None
+        None where a variable states no unit.
+    relative : bool
+        Whether the values are differences, to which no offset applies.
+
+    Raises
+    ------
+    InvalidInput
+        If the units measure different things.
+    """
+    if source is None or target is None:
+        if source is target or {source, target} <= {None, Unit("1", (0,) * len(BASE))}:
+            return Conversion()
+        stated, side = (source, "input") if target is None else (target, "output")
+        return Conversion(doubt=f"the {side} states no unit, the other end '{_name(stated)}'")
+    if source.exponents is None or target.exponents is None:
+        if source.name == target.name:
+            return Conversion()
+        return Conversion(doubt=f"'{source.name}' and '{target.name}' cannot be compared")
+    differ = [
+        symbol
+        for symbol, a, b in zip(BASE, source.exponents, target.exponents, strict=True)
+        if a != b
+    ]
+    if any(symbol != "rad" for symbol in differ):
+        raise InvalidInput(
+            f"'{source.name}' cannot become '{target.name}': {_product(source.exponents)} "
+            f"against {_product(target.exponents)} in SI units"
+        )
+    factor = source.factor / target.factor
+    offset = 0.0 if relative else (source.offset - target.offset) / target.factor
+    doubt = f"'{source.name}' and '{target.name}' differ by radians" if differ else ""
+    return Conversion(factor, offset, doubt)
+
+
+def _name(unit: Unit | None) -> str:
+    return "" if unit is None else unit.name
+
+
+def _product(exponents: tuple[int, ...]) -> str:
+    """Base units as a product: kg.m.s-2."""
+    parts = (
+        symbol + (str(power) if power != 1 else "")
+        for symbol, power in zip(BASE, exponents, strict=True)
+        if power
+    )
+    return ".".join(parts) or "1"
 
 
 def base_unit(unit: str) -> dict[str, str]:

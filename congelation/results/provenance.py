@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
 from congelation.fmi.description import Description, describe
 from congelation.results.identity import code_version
-from congelation.scenario.metrics import metric
-from congelation.scenario.scenario import MetricSpec, Scenario
+from congelation.scenario.metrics import Metric, metric
+from congelation.scenario.parts import MetricSpec
+from congelation.scenario.scenario import Scenario
 
 __all__ = ["about"]
 
@@ -26,7 +27,7 @@ def about(scenario: Scenario, varied: Sequence[str]) -> dict[str, Any]:
     descriptions = {c.name: describe(c.fmu) for c in scenario.system.components}
     return {
         "title": scenario.title,
-        "scenario_file": scenario.file.name,
+        "scenario_file": scenario.file.name if scenario.file is not None else "",
         "scenario": scenario.text,
         "varied": list(varied),
         "metrics": {spec.name: _about_metric(spec, descriptions) for spec in scenario.metrics},
@@ -51,8 +52,15 @@ def _about_metric(spec: MetricSpec, descriptions: Mapping[str, Description]) -> 
         "of": spec.of or "the closed loop",
         "options": dict(spec.options),
         "definition": metric(spec.metric).definition,
-        "unit": metric(spec.metric).unit(group.pop() if len(group) == 1 else ""),
+        "unit": _unit(metric(spec.metric), group),
     }
+
+
+def _unit(found: Metric, group: Collection[str]) -> str:
+    """The unit of a metric; variables of several units have none but where theirs play no part."""
+    if len(group) > 1 and found.unit("a") != found.unit("b"):
+        return ""
+    return found.unit(next(iter(group), ""))
 
 
 def _versions() -> dict[str, str]:

@@ -18,7 +18,7 @@ import os
 import sqlite3
 import time
 from array import array
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any, cast
@@ -27,15 +27,11 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from congelation.errors import CongelationError, InvalidInput, nearest
-from congelation.places import check_folder
+from congelation.errors import InvalidInput, nearest
+from congelation.places import StoreError, check_folder, replace_whole
 from congelation.results.record import GROUPS, RunRecord, Trajectory
 
 __all__ = ["Store", "StoreError", "replace_whole", "trajectory_bytes"]
-
-
-class StoreError(CongelationError):
-    """A result that cannot be written; the text names the file and the reason."""
 
 
 METADATA = b"congelation"
@@ -480,23 +476,3 @@ def trajectory_bytes(trajectory: Trajectory) -> bytes:
     table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
     pq.write_table(table, stream, compression="zstd")
     return stream.getvalue()
-
-
-def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `file`, then rename it into place.
-
-    Raises
-    ------
-    StoreError
-        If the file cannot be written: no space, no permission.
-    """
-    temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
-    try:
-        file.parent.mkdir(parents=True, exist_ok=True)
-        write(temporary)
-        temporary.replace(file)
-    except OSError as error:
-        raise StoreError(f"{file} cannot be written: {error}") from error
-    finally:
-        with suppress(OSError):  # the error that brought us here says why; this one would hide it
-            temporary.unlink(missing_ok=True)

@@ -25,31 +25,26 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from congelation.errors import InvalidInput
 from congelation.scenario.constraint import Constraint
-from congelation.scenario.start_values import Scalar
+from congelation.scenario.parts import Scalar, Settings
 
 __all__ = [
     "DISTRIBUTIONS",
-    "MOST_RUNS",
     "SAMPLINGS",
     "Distribution",
     "RandomAxis",
     "Replicates",
-    "Settings",
     "Sweep",
 ]
 
-Settings = Mapping[str, Scalar]
 Floats = npt.NDArray[np.float64]
-
-MOST_RUNS = 2**20
-"""Of each variant: the plan of so many takes half a gigabyte and some minutes."""
 
 EXACT = 2.0**53
 """Up to here every whole number is a float."""
@@ -229,6 +224,33 @@ class Sweep:
         reseeded = self.replicates.reseeded if self.replicates is not None else ()
         return (*lists, *(axis.name for axis in self.axes), *reseeded)
 
+    def document(self) -> dict[str, object]:
+        """The table of a scenario file that says the same.
+
+        Raises
+        ------
+        InvalidInput
+            If the settings of a list are not all of the same names.
+        """
+        table: dict[str, object] = {
+            "axes": [
+                *(_list_table(entries, place) for place, entries in enumerate(self.lists)),
+                *({"set": a.name, a.distribution: list(a.parameters)} for a in self.axes),
+            ],
+            "sampling": self.sampling,
+            "seed": self.seed,
+            "trajectories": self.trajectories,
+            "constraints": [constraint.text for constraint in self.constraints],
+        }
+        if self.axes:
+            table["samples"] = self.samples
+        if self.timeout is not None:
+            table["timeout"] = self.timeout
+        if self.replicates is not None:
+            table["replicates"] = self.replicates.count
+            table["reseed"] = list(self.replicates.reseeded)
+        return table
+
     def points(self) -> Iterator[dict[str, Scalar]]:
         """The settings of every point, the sample's varying fastest."""
         sample = list(self._sample())
@@ -254,3 +276,15 @@ class Sweep:
         rng = np.random.default_rng(self.seed)
         for row in SAMPLINGS[self.sampling](self.samples, len(self.axes), rng):
             yield {axis.name: axis.value(float(u)) for axis, u in zip(self.axes, row, strict=True)}
+
+
+def _list_table(entries: Sequence[Settings], place: int) -> dict[str, object]:
+    """A list of settings as an axis that changes several of them together."""
+    names = list(entries[0]) if entries else []
+    for entry in entries:
+        if entry.keys() != entries[0].keys():
+            raise InvalidInput(
+                f"Scenario: sweep.lists[{place}] do not all set the same variables; "
+                f"give each of them {', '.join(names)}"
+            )
+    return {"set": names, "values": [[entry[name] for name in names] for entry in entries]}

@@ -1,46 +1,23 @@
-"""The table ``[sweep]`` of a scenario file."""
+"""The table ``[sweep]`` of a scenario."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
-from congelation.errors import InvalidInput, nearest
-from congelation.scenario.axes import (
-    DISTRIBUTIONS,
-    MOST_RUNS,
-    SAMPLINGS,
-    RandomAxis,
-    Replicates,
-    Settings,
-    Sweep,
-)
+from congelation import keys
+from congelation.scenario.axes import DISTRIBUTIONS, RandomAxis, Replicates, Sweep
 from congelation.scenario.constraint import Constraint
-from congelation.scenario.scenario import EXPERIMENT
-from congelation.scenario.start_values import Scalar
+from congelation.scenario.parts import EXPERIMENT, Settings
+from congelation.scenario.settings import SettingsReader
 from congelation.toml import Section
 
-__all__ = ["Flatten", "read_sweep"]
-
-Flatten = Callable[[Section], dict[str, Scalar]]
-"""Checks a table of settings against the scenario; one entry per scalar variable."""
-
-_KEYS = (
-    "axes",
-    "constraints",
-    "replicates",
-    "reseed",
-    "samples",
-    "sampling",
-    "seed",
-    "timeout",
-    "trajectories",
-)
+__all__ = ["read_sweep"]
 
 
-def read_sweep(section: Section, flatten: Flatten) -> Sweep:
+def read_sweep(section: Section, reader: SettingsReader) -> Sweep:
     """The sweep that a table describes.
 
     Raises
@@ -48,136 +25,144 @@ def read_sweep(section: Section, flatten: Flatten) -> Sweep:
     InvalidInput
         Naming the key and what would be valid.
     """
-    section.only(_KEYS)
+    read = section.read(keys.SWEEP)
     lists: list[tuple[Settings, ...]] = []
     axes: list[RandomAxis] = []
     taken: dict[str, str] = {}
-    for axis in section.sections("axes"):
-        found = _axis(axis, flatten)
+    for axis in read["axes"]:
+        found = _axis(axis, reader)
         names = [found.name] if isinstance(found, RandomAxis) else list(found[0])
+        place = axis.spelled(axis.path)
         for name in names:
             if name in taken:
                 raise axis.error("set", f"sets '{name}', which {taken[name]} sets already")
-            taken[name] = axis.path
+            taken[name] = place
         if isinstance(found, RandomAxis):
             axes.append(found)
         else:
             lists.append(found)
-    if not taken and "replicates" not in section.data:
+    if not taken and read["replicates"] is None:
         raise section.error("axes", "is missing; give at least one [[sweep.axes]]")
-    sampling = section.text("sampling", "random")
-    if sampling not in SAMPLINGS:
-        raise section.wrong("sampling", f"a known sampling; {nearest(sampling, SAMPLINGS)}")
-    seed = section.integer("seed", 0)
-    if seed < 0:
-        raise section.wrong("seed", "a whole number of at least 0")
     sweep = Sweep(
         lists=tuple(lists),
         axes=tuple(axes),
-        sampling=sampling,
-        samples=_samples(section, bool(axes), sampling),
-        seed=seed,
-        trajectories=section.boolean("trajectories", False),
-        constraints=tuple(_constraints(section, taken)),
-        timeout=section.duration("timeout") if "timeout" in section.data else None,
-        replicates=_replicates(section, taken, flatten),
+        sampling=read["sampling"],
+        samples=_samples(section, read["samples"], bool(axes), read["sampling"]),
+        seed=read["seed"],
+        trajectories=read["trajectories"],
+        constraints=tuple(_constraints(section, read["constraints"], taken)),
+        timeout=read["timeout"],
+        replicates=_replicates(section, read["replicates"], read["reseed"], taken, reader),
     )
-    if sweep.size * (sweep.replicates.count if sweep.replicates is not None else 1) > MOST_RUNS:
-        raise InvalidInput(
-            f"{section.file}: {section.path} has more than {MOST_RUNS} runs of each variant; "
-            "split it over several scenarios"
+    repeated = sweep.replicates.count if sweep.replicates is not None else 1
+    if sweep.size * repeated > keys.MOST_RUNS:
+        raise section.error(
+            "",
+            f"has more than {keys.MOST_RUNS} runs of each variant; split it over several scenarios",
         )
     return sweep
 
 
-def _replicates(section: Section, taken: Mapping[str, str], flatten: Flatten) -> Replicates | None:
+def _replicates(
+    section: Section,
+    count: int | None,
+    names: Iterable[str],
+    taken: Mapping[str, str],
+    reader: SettingsReader,
+) -> Replicates | None:
     """How often points are repeated, and what gets a fresh seed each time."""
-    if "replicates" not in section.data:
+    if count is None:
         if "reseed" in section.data:
             raise section.error("reseed", "has no meaning without replicates")
         return None
-    count = section.integer("replicates")
-    if not 1 <= count <= MOST_RUNS:
-        raise section.wrong("replicates", f"a whole number from 1 to {MOST_RUNS}")
-    names = section.texts("reseed")
     if not names:
         raise section.error("reseed", "is missing; name the settings that replicates differ in")
     reseeded: dict[str, str] = {}
     for index, name in enumerate(names, start=1):
         key = f"reseed[{index}]"
         place = replace(section, path=section.at(key), data={name: 1})
-        (setting, value), *others = flatten(place).items()
+        (setting, value), *others = reader.read(place).items()
         whole = isinstance(value, int) and not isinstance(value, bool)
         if others or not whole or setting.startswith(f"{EXPERIMENT}."):
             raise section.error(key, f"= '{name}' is no integer parameter of a component")
         if other := {**taken, **reseeded}.get(setting):
             raise section.error(key, f"= '{name}' is set by {other} already")
-        reseeded[setting] = section.at(key)
+        reseeded[setting] = section.spelled(section.at(key))
     return Replicates(count, tuple(reseeded))
 
 
-def _constraints(section: Section, swept: Iterable[str]) -> Iterator[Constraint]:
-    for text in section.texts("constraints"):
+def _constraints(
+    section: Section, texts: Iterable[str], swept: Iterable[str]
+) -> Iterator[Constraint]:
+    for text in texts:
         constraint = section.attempt("constraints", partial(Constraint, text))
         section.attempt("constraints", partial(constraint.check_names, swept))
         yield constraint
 
 
-def _samples(section: Section, needed: bool, sampling: str) -> int:
+def _samples(section: Section, samples: int | None, needed: bool, sampling: str) -> int:
     if not needed:
-        if "samples" in section.data:
+        if samples is not None:
             raise section.error("samples", "has no meaning without a random axis")
         return 0
-    samples = section.integer("samples")
-    if not 1 <= samples <= MOST_RUNS:
-        raise section.wrong("samples", f"a whole number from 1 to {MOST_RUNS}")
+    if samples is None:
+        raise section.error("samples", f"is missing; give {keys.SWEEP['samples'].valid}")
     if sampling == "sobol" and samples.bit_count() != 1:
         power = 2 ** (samples.bit_length() - 1)
         raise section.wrong("samples", f"a power of two for Sobol: {power} or {2 * power}")
     return samples
 
 
-def _axis(section: Section, flatten: Flatten) -> RandomAxis | tuple[Settings, ...]:
-    section.only(("set", "values", *DISTRIBUTIONS)).require("set")
+def _axis(section: Section, reader: SettingsReader) -> RandomAxis | tuple[Settings, ...]:
+    read = section.read(keys.AXIS)
     kinds = [key for key in section.data if key != "set"]
     if len(kinds) != 1:
-        kinds_text = ", ".join(("values", *DISTRIBUTIONS))
-        raise section.error("set", f"needs one of: {kinds_text}")
-    return _list(section, flatten) if kinds == ["values"] else _random(section, kinds[0], flatten)
+        known = ", ".join(("values", *DISTRIBUTIONS))
+        raise section.error("set", f"needs one of: {known}")
+    if kinds == ["values"]:
+        return _list(section, read["set"], read["values"], reader)
+    return _random(section, read["set"], kinds[0], read[kinds[0]], reader)
 
 
-def _list(section: Section, flatten: Flatten) -> tuple[Settings, ...]:
+def _list(
+    section: Section, names: tuple[str, ...], values: tuple[object, ...], reader: SettingsReader
+) -> tuple[Settings, ...]:
     """One entry per value; with several names, each value holds one for each of them."""
     together = isinstance(section.data["set"], list)
-    names = section.texts("set") if together else (section.text("set"),)
-    values = section.data["values"]
-    if not isinstance(values, list) or not values:
-        raise section.wrong("values", "an array with at least one value")
     entries = []
     for index, value in enumerate(values, start=1):
         row = value if together else [value]
         if not isinstance(row, list) or len(row) != len(names):
             raise section.error(f"values[{index}]", f"is not valid; give {len(names)} values")
         at = f"{section.path}.values[{index}]"
-        entries.append(flatten(replace(section, path=at, data=dict(zip(names, row, strict=True)))))
+        entries.append(
+            reader.read(replace(section, path=at, data=dict(zip(names, row, strict=True))))
+        )
     if any(entry.keys() != entries[0].keys() for entry in entries):
         raise section.error("values", "do not all set the same variables")
     return tuple(entries)
 
 
-def _random(section: Section, kind: str, flatten: Flatten) -> RandomAxis:
-    name = section.text("set")
+def _random(
+    section: Section,
+    names: tuple[str, ...],
+    kind: str,
+    numbers: tuple[float, ...],
+    reader: SettingsReader,
+) -> RandomAxis:
+    if len(names) != 1:
+        raise section.wrong("set", "one setting; those that change together have values")
     distribution = DISTRIBUTIONS[kind]
-    numbers = section.numbers(kind)
     if len(numbers) != 2 or not distribution.valid(numbers[0], numbers[1]):
         raise section.wrong(kind, distribution.parameters)
-    axis = RandomAxis(name, kind, (numbers[0], numbers[1]), section.path)
+    place = section.spelled(section.path)
+    axis = RandomAxis(names[0], kind, (numbers[0], numbers[1]), place)
     ends = (axis.value(0.0), axis.value(1.0))
     if not all(math.isfinite(float(end)) for end in ends):
         raise section.wrong(kind, f"{distribution.parameters}, that no draw is infinite with")
     for value in ends if distribution.bounded else ():
-        flatten(replace(section, data={name: value}))
-    flat = flatten(replace(section, data={name: axis.value(0.5)}))
+        reader.read(replace(section, data={axis.name: value}))
+    flat = reader.read(replace(section, data={axis.name: axis.value(0.5)}))
     if len(flat) != 1:
-        raise section.error("set", f"= '{name}' is no single variable")
+        raise section.error("set", f"= '{axis.name}' is no single variable")
     return replace(axis, name=next(iter(flat)))

@@ -23,7 +23,6 @@ from congelation.results.results import Results
 from congelation.results.store import StoreError
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
-from congelation.scenario.ssp import read_ssp
 from congelation.sweep.cluster import Cluster
 from congelation.sweep.execute import REFUSED, Task
 from congelation.sweep.notebook import notebook_progress
@@ -159,15 +158,16 @@ def sweep(
 
 def read(scenario: Scenario | Path | str) -> Scenario:
     """A scenario, or the one that a file describes."""
-    if isinstance(scenario, Scenario):
-        return scenario
-    file = Path(scenario)
-    return read_ssp(file) if file.suffix == ".ssp" else load_scenario(file)
+    return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
 
 
 def result_folder(scenario: Scenario, out: Path | str | None) -> Path:
     """Where results go."""
-    return Path("results") / scenario.file.stem if out is None else Path(out)
+    if out is not None:
+        return Path(out)
+    if scenario.file is None:
+        raise InvalidInput("a scenario without a file has no folder for its results; give out")
+    return Path("results") / scenario.file.stem
 
 
 def carry_out(plan: Plan, workers: Workers, progress: Listener | None = None) -> Results:

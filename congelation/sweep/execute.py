@@ -15,7 +15,7 @@ from congelation.fmi.description import describe
 from congelation.results.identity import NUMERICS_VERSION
 from congelation.results.record import Trajectory
 from congelation.results.store import Store, trajectory_bytes
-from congelation.scenario.axes import Settings
+from congelation.scenario.parts import Settings
 from congelation.scenario.scenario import Case, Scenario
 from congelation.verify.measure import Points, measure
 

@@ -30,10 +30,10 @@ from congelation.results.identity import (
 from congelation.results.provenance import about
 from congelation.results.record import RunRecord
 from congelation.results.store import Store
-from congelation.scenario.axes import Settings, Sweep
+from congelation.scenario.axes import Sweep
 from congelation.scenario.metrics import metric
-from congelation.scenario.scenario import EXPERIMENT, Case, Scenario
-from congelation.scenario.start_values import Scalar
+from congelation.scenario.parts import EXPERIMENT, Case, Scalar, Settings
+from congelation.scenario.scenario import Scenario
 from congelation.sweep.execute import ERROR, REFUSED, TIMED_OUT, WORKER_DIED, Job, Outcome, Task
 
 __all__ = ["FAILURES", "Plan", "plan_study", "varied_settings"]
@@ -154,7 +154,7 @@ def plan_study(
         if status not in FAILURES:
             raise InvalidInput(f"'{status}' is no status to retry; valid: {', '.join(FAILURES)}")
     if swept and scenario.sweep is None:
-        raise InvalidInput(f"{scenario.file}: no [sweep]; give its axes, or use: congelation run")
+        raise InvalidInput(f"{scenario.place}: no [sweep]; give its axes, or use: congelation run")
     store = Store(folder)
     done = store.count()
     if swept and done and not resume:
@@ -176,13 +176,13 @@ def plan_study(
         retry if swept else None,
     )
     if found.total == 0:
-        raise InvalidInput(f"{scenario.file}: sweep.constraints leave no point")
+        raise InvalidInput(f"{scenario.place}: sweep.constraints leave no point")
     sweep = _sweep(scenario)
     described = {**about(scenario, varied_settings(scenario, swept)), "swept": swept}
     study = content_hash({key: v for key, v in described.items() if key != "versions"})
     job = Job(
         study=study,
-        scenario=replace(scenario, sweep=None, text=""),
+        scenario=scenario.changed(sweep=None, text=""),
         folder=folder.absolute(),
         trajectories=sweep.trajectories if swept else True,
         verify=verify,
@@ -230,7 +230,7 @@ def _points(scenario: Scenario, sweep: Sweep) -> Iterator[dict[str, Scalar]]:
     try:
         yield from sweep.points()
     except InvalidInput as error:
-        raise InvalidInput(f"{scenario.file}: sweep.constraints: {error}") from error
+        raise InvalidInput(f"{scenario.place}: sweep.constraints: {error}") from error
 
 
 class _Check:
@@ -255,7 +255,7 @@ class _Check:
             try:
                 refuse_tolerance(experiment.chosen_coupling, experiment.tolerance)
             except InvalidInput as error:
-                raise InvalidInput(f"{scenario.file}: {EXPERIMENT}.tolerance: {error}") from error
+                raise InvalidInput(f"{scenario.place}: {EXPERIMENT}.tolerance: {error}") from error
         except InvalidInput as error:
             if not self._axes:
                 raise
@@ -322,11 +322,10 @@ def _complete(scenario: Scenario) -> Scenario:
     try:
         states = loop_states(scenario.case({}))
     except InvalidInput as error:
-        raise InvalidInput(f"{scenario.file}: metrics.{loops[0].name}.metric: {error}") from error
-    record = list(dict.fromkeys([*cast(Sequence[str], scenario.experiment["record"]), *states]))
+        raise InvalidInput(f"{scenario.place}: metrics.{loops[0].name}.metric: {error}") from error
+    record = tuple(dict.fromkeys([*(scenario.experiment.record or ()), *states]))
     measured = scenario.measured
-    return replace(
-        scenario,
-        experiment={**scenario.experiment, "record": record},
+    return scenario.changed(
+        experiment=replace(scenario.experiment, record=record),
         measured=None if measured is None else tuple(dict.fromkeys([*measured, *states])),
     )

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import InvalidInput
-from congelation.scenario.scenario import Case
+from congelation.scenario.parts import Case
 from congelation.verify.certify import certificate_of
 from congelation.verify.reference import Reference, reference
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from congelation.cosim.recording import Memory, Sink
 from congelation.results.record import Trajectory
 from congelation.scenario.metrics import metric
-from congelation.scenario.scenario import Case, MetricSpec
+from congelation.scenario.parts import Case, MetricSpec
 
 __all__ = ["LOOP_METRICS", "Points", "measure"]
 

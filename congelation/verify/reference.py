@@ -28,8 +28,7 @@ from congelation.export.interface import start_names
 from congelation.fmi.description import describe
 from congelation.fmi.start import resolve_start
 from congelation.results.record import Trajectory
-from congelation.scenario.scenario import Case, Experiment
-from congelation.scenario.start_values import Scalar
+from congelation.scenario.parts import Case, Experiment, Scalar
 from congelation.signals import Profile
 from congelation.signals import Segment as Piece
 from congelation.theory.closed_loop import ClosedLoop, Segment, close

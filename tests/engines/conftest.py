@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from congelation.scenario.ssp import write_ssp
-from tests.engines.loops import LOOPS, Loop, scenario
+from tests.engines.loops import LOOPS, STEP, Loop, scenario
 
 
 @pytest.fixture(scope="session")
@@ -14,5 +14,5 @@ def archives(tmp_path_factory: pytest.TempPathFactory) -> dict[Loop, Path]:
     folder = tmp_path_factory.mktemp("ssp")
     files = {loop: folder / f"{loop}.ssp" for loop in LOOPS}
     for loop, file in files.items():
-        write_ssp(scenario(loop), file, loop.variant)
+        write_ssp(scenario(loop), file, loop.variant, step=STEP)
     return files

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tests.engines.engine import run
-from tests.engines.loops import LOOPS, STEP, Loop, case, columns, deviation, job, reference
+from tests.engines.loops import LOOPS, STEP, Loop, columns, deviation, job, reference
 
 STEPS = 800  # with a jump of theta inside, at 0.65 s
 NAMES = ("plant.x", "controller.u", "controller.theta_hat", "controller.rho_hat", "controller.z")
@@ -29,8 +29,7 @@ def test_archives_agree_with_the_master(
 
 def test_archives_state_the_step(archives: dict[Loop, Path], tmp_path: Path) -> None:
     request = {**job(LOOPS[1], 3), "ssp": str(archives[LOOPS[1]]), "step": None}
-    step = case(LOOPS[1]).experiment.step
-    expected = [step, 2 * step, 3 * step]
+    expected = [STEP, 2 * STEP, 3 * STEP]
     assert run("libcosim", request, tmp_path)["time"] == pytest.approx(expected, abs=1e-12)
 
 

@@ -205,7 +205,7 @@ MISTAKES = {
     "stop before start": (
         "stop_time = 1.0",
         "stop_time = 1.0\nstart_time = 2.0",
-        "experiment.stop_time = 1.0 is not valid; give a time after start_time = 2",
+        "experiment.stop_time = 1 is not valid; give a time after start_time = 2",
     ),
     "no step": ("step = 0.01\n", "", "experiment.step is missing"),
     "negative step": ("step = 0.01", "step = -1", "experiment.step = -1 is not valid"),
@@ -218,7 +218,7 @@ MISTAKES = {
     "unknown coupling": (
         "step = 0.01",
         'step = 0.01\ncoupling = "jakobi"',
-        "experiment.coupling: coupling 'jakobi'; did you mean 'jacobi'?",
+        "experiment.coupling = 'jakobi' is not known; did you mean 'jacobi'?",
     ),
     "unknown option of a coupling": (
         "step = 0.01",

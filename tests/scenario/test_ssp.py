@@ -94,7 +94,8 @@ def test_what_is_written_is_valid_and_read_back_as_it_was(file: Path, tmp_path: 
         for component, other in zip(
             expected.system.components, found.system.components, strict=True
         ):
-            assert (other.name, dict(other.start)) == (component.name, dict(component.start))
+            stated = {name: value for name, value in component.start.items() if value != ""}
+            assert (other.name, dict(other.start)) == (component.name, stated)
             assert other.fmu.read_bytes() == component.fmu.read_bytes()
         assert links(found.system) == links(expected.system)
         assert [v.name for v in again.variants] == [variant.name]
@@ -235,9 +236,97 @@ def test_the_kinds_of_the_connectors_tell_the_direction(archive: Path) -> None:
     assert links(read_ssp(turned).system) == links(read_ssp(archive).system)
 
 
+def surroundings(kind: str) -> str:
+    """The connector x of the system."""
+    connector = f'<ssd:Connector name="x" kind="{kind}"><ssc:Real/></ssd:Connector>'
+    return f"<ssd:Connectors>{connector}</ssd:Connectors>"
+
+
+OUTER = '<ssd:Connection startConnector="x" endElement="controller" endConnector="x"/>'
+
+
+def of_the_system(archive: Path, kind: str, name: str | None) -> Path:
+    """The archive with controller.x connected to a connector of the system, x, instead."""
+    entries = contents(archive)
+    root = etree.fromstring(entries[SSD])
+    for connection in root.findall(".//{*}Connection[@endElement='controller']"):
+        connection.getparent().remove(connection)
+    file = pack(archive.with_name("outer.ssp"), {**entries, SSD: etree.tostring(root)})
+    value = (
+        "<ssd:ParameterBindings><ssd:ParameterBinding><ssd:ParameterValues><ssv:ParameterSet "
+        'version="1.0" name="p"><ssv:Parameters>'
+        f'<ssv:Parameter name="{name}"><ssv:Real value="0.25"/></ssv:Parameter>'
+        "</ssv:Parameters></ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding>"
+        "</ssd:ParameterBindings>"
+    )
+    return changed(
+        file,
+        SSD,
+        ("<ssd:Connections>", f"<ssd:Connections>{OUTER}"),
+        ("<ssd:Elements>", f"{surroundings(kind)}{value if name else ''}<ssd:Elements>"),
+    )
+
+
+@pytest.mark.parametrize("kind", ["input", "parameter"])
+def test_a_value_of_a_connector_of_the_system_takes_effect(archive: Path, kind: str) -> None:
+    scenario = read_ssp(of_the_system(archive, kind, "x"))
+    assert start(scenario, "controller")["x"] == 0.25
+    assert scenario.warnings == ()
+
+
+def test_an_input_of_the_system_without_a_value_is_open(archive: Path) -> None:
+    scenario = read_ssp(of_the_system(archive, "input", None))
+    assert scenario.open == ("controller.x",)
+    assert scenario.warnings == ()
+
+
+def test_a_parameter_without_a_variable_is_named(archive: Path) -> None:
+    file = of_the_system(archive, "input", "y")
+    (warning,) = read_ssp(file).warnings
+    assert warning == f"{file}: there is no variable for the parameter 'y'"
+
+
+def test_a_connection_with_no_connector_of_the_system_is_refused(archive: Path) -> None:
+    file = changed(archive, SSD, ("<ssd:Connections>", f"<ssd:Connections>{OUTER}"))
+    with pytest.raises(InvalidInput, match="with the connector 'x' of the system: it has none"):
+        read_ssp(file)
+
+
+@pytest.mark.parametrize("tool", ["com.opensimulationplatform", "org.openmodelica"])
+def test_a_step_that_other_tools_read_is_read(tmp_path: Path, tool: str) -> None:
+    file = tmp_path / "loop.ssp"
+    write_ssp(load_scenario(write(tmp_path)), file, step=0.02)
+    entries = contents(file)
+    root = etree.fromstring(entries[SSD])
+    for element in root.findall(".//{*}Annotation"):
+        if element.get("type") != tool:
+            element.getparent().remove(element)
+    for element in root.findall(".//{*}Annotations"):
+        if len(element) == 0 and element.tag.startswith("{http://ssp"):
+            element.getparent().remove(element)
+    plain = pack(tmp_path / "plain.ssp", {**entries, SSD: etree.tostring(root)})
+    experiment = read_ssp(plain).experiment
+    assert (experiment.coupling, experiment.step, experiment.tolerance) == ("jacobi", 0.02, None)
+    bad = changed(plain, SSD, ('"0.02"', '"-1"'))
+    with pytest.raises(InvalidInput, match=r"= '-1' is not a positive time"):
+        read_ssp(bad)
+
+
+def test_no_empty_string_is_written(archive: Path) -> None:
+    assert (
+        start(load_scenario(archive.with_name("loop.toml")), "plant")["profile[1].table.file"] == ""
+    )
+    assert b"ssv:String" not in contents(archive)[SSV]
+
+
 def test_connections_with_the_surroundings_are_left_open(archive: Path) -> None:
     outer = '<ssd:Connection startElement="plant" startConnector="x" endConnector="x"/>'
-    opened = changed(archive, SSD, ("<ssd:Connections>", f"<ssd:Connections>{outer}"))
+    opened = changed(
+        archive,
+        SSD,
+        ("<ssd:Connections>", f"<ssd:Connections>{outer}"),
+        ("<ssd:Elements>", f"{surroundings('output')}<ssd:Elements>"),
+    )
     assert links(read_ssp(opened).system) == links(read_ssp(archive).system)
 
 
@@ -274,15 +363,25 @@ def test_parameters_by_the_rules_of_ssp(archive: Path) -> None:
     assert start(read_ssp(file), "controller") == expected
 
 
-def test_a_unit_has_to_be_the_fmus(archive: Path) -> None:
+def test_a_unit_has_to_be_of_the_kind_of_the_fmus(archive: Path) -> None:
     def in_unit(unit: str) -> Path:
         return changed(
             archive, SSV, ('<ssv:Real value="0.3"/>', f'<ssv:Real value="0.3" unit="{unit}"/>')
         )
 
-    assert start(read_ssp(in_unit("s")), "plant") == start(read_ssp(archive), "plant")
-    with pytest.raises(InvalidInput, match=r"unit = 'min' is not the unit of .*; give 's'"):
-        read_ssp(in_unit("min"))
+    own = start(read_ssp(archive), "plant")
+    assert start(read_ssp(in_unit("s")), "plant") == own
+    (changed_name,) = (
+        n for n, v in start(read_ssp(in_unit("min")), "plant").items() if v != own[n]
+    )
+    assert (own[changed_name], start(read_ssp(in_unit("min")), "plant")[changed_name]) == (
+        0.3,
+        18.0,
+    )
+    with pytest.raises(
+        InvalidInput, match=r"unit = 'kg' is not the unit of .*; give one such as 's'"
+    ):
+        read_ssp(in_unit("kg"))
 
 
 CONNECTION = 'startElement="plant" startConnector="x" endElement="controller" endConnector="x"/>'
@@ -370,7 +469,7 @@ def test_what_is_no_archive(archive: Path, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="no such file; give the path of an SSP archive"):
         read_ssp(tmp_path / "absent.ssp")
     archive.write_bytes(archive.read_bytes()[:-100])
-    with pytest.raises(InvalidInput, match="is no SSP archive: File is not a zip file"):
+    with pytest.raises(InvalidInput, match="is not an SSP archive: File is not a zip file"):
         read_ssp(archive)
     with pytest.raises(InvalidInput, match=r"no 'SystemStructure\.ssd' in the archive"):
         read_ssp(pack(archive, {"readme.txt": b""}))

@@ -154,7 +154,7 @@ MISTAKES = {
     "value that is not valid": (
         '"jacobi"',
         '"jakobi"',
-        "sweep.axes[3].values[1].experiment.coupling: coupling 'jakobi'",
+        "sweep.axes[3].values[1].experiment.coupling = 'jakobi' is not known",
     ),
     "values of no list": ("values = [1, 2]", "values = 1", "sweep.axes[4].values = 1 is not valid"),
     "samples without a random axis": (

@@ -1,4 +1,4 @@
-"""SSP archives as files: one that lies unpacked, and what is to become one."""
+"""SSP archives as files, unpacked or to be written, and the XML of SSP 1.0 in them."""
 
 from __future__ import annotations
 
@@ -8,12 +8,50 @@ import shutil
 import tempfile
 import zipfile
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from urllib.parse import unquote
 
-from congelation.errors import InvalidInput
+import fmpy
+from lxml import etree
 
-__all__ = ["Archive", "Contents", "unpack"]
+from congelation.errors import InvalidInput
+from congelation.fmi.archive import unpack_archive
+
+__all__ = [
+    "ANNOTATION",
+    "DESCRIPTION",
+    "NAMESPACES",
+    "PARAMETERS",
+    "SSD",
+    "Archive",
+    "Contents",
+    "parse",
+    "tag",
+    "unpack",
+]
+
+SSD = "SystemStructure.ssd"
+"""The file of an archive that describes its system."""
+
+DESCRIPTION = "SystemStructureDescription"
+"""Root of that file, and name of its schema."""
+
+PARAMETERS = "SystemStructureParameterValues"
+"""Name of the schema of parameter sets, whose root is ParameterSet."""
+
+ANNOTATION = "congelation"
+"""Type of the annotation for what SSP has no place for: coupling, step, metrics, figures."""
+
+_SSP = "http://ssp-standard.org/SSP1/"
+NAMESPACES = {
+    "ssd": _SSP + DESCRIPTION,
+    "ssv": _SSP + PARAMETERS,
+    "ssc": _SSP + "SystemStructureCommon",
+    "osp": "http://opensimulationplatform.com/SSP/OSPAnnotations",
+    "oms": "https://raw.githubusercontent.com/OpenModelica/OMSimulator/master/schema/oms.xsd",
+}
+"""By prefix. libcosim, Ecos and OMSimulator look for these prefixes, not for the namespaces."""
 
 # The earliest date of a ZIP archive: equal content, equal bytes.
 _DATE = (1980, 1, 1, 0, 0, 0)
@@ -58,11 +96,7 @@ def unpack(file: Path) -> Archive:
     folder = Path(tempfile.mkdtemp(prefix=f"{file.stem}_")).resolve()
     # Unlike atexit, this also runs at the end of a worker process, and only in its own.
     multiprocessing.util.Finalize(None, shutil.rmtree, (folder, True), exitpriority=1)
-    try:
-        with zipfile.ZipFile(file) as archive:
-            archive.extractall(folder)
-    except (zipfile.BadZipFile, NotImplementedError, OSError) as error:
-        raise InvalidInput(f"{file}: is no SSP archive: {error}") from error
+    unpack_archive(file, folder, "an SSP archive")
     return Archive(file, folder)
 
 
@@ -87,3 +121,34 @@ class Contents:
                 info = zipfile.ZipInfo(name, _DATE)
                 info.compress_type = zipfile.ZIP_DEFLATED
                 archive.writestr(info, content)
+
+
+def tag(element: str) -> str:
+    """The qualified name of an element, ``ssd:System``, as lxml writes it."""
+    prefix, _, name = element.partition(":")
+    return f"{{{NAMESPACES[prefix]}}}{name}"
+
+
+def parse(data: bytes, schema: str, place: str) -> etree._Element:
+    """The root of an XML document that is valid by a schema.
+
+    Raises
+    ------
+    InvalidInput
+        Beginning with `place`, if it is no XML, or not valid.
+    """
+    try:
+        # No entities and no network: an archive may come from anyone.
+        root = etree.fromstring(data, etree.XMLParser(resolve_entities=False, no_network=True))
+    except etree.XMLSyntaxError as error:
+        raise InvalidInput(f"{place}: no XML: {error.msg}") from error
+    validator = _schema(schema)
+    if not validator.validate(root):
+        first = validator.error_log[0]
+        raise InvalidInput(f"{place}, line {first.line}: {first.message}")
+    return root
+
+
+@cache
+def _schema(name: str) -> etree.XMLSchema:
+    return etree.XMLSchema(file=Path(fmpy.__file__).parent / "ssp" / "schema" / f"{name}.xsd")

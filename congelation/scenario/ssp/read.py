@@ -7,23 +7,32 @@ transformations, mappings) is refused, not passed over.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+import math
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 from lxml import etree
 
 from congelation.errors import nearest
 from congelation.fmi.description import describe
-from congelation.scenario.load import read_scenario
 from congelation.scenario.scenario import EXPERIMENT, Scenario
-from congelation.scenario.ssp.archive import Archive, unpack
-from congelation.scenario.ssp.parameters import bound_values
-from congelation.scenario.ssp.schema import ANNOTATION, DESCRIPTION, NAMESPACES, SSD, parse
+from congelation.scenario.ssp.archive import (
+    ANNOTATION,
+    DESCRIPTION,
+    NAMESPACES,
+    PARAMETERS,
+    SSD,
+    Archive,
+    parse,
+    unpack,
+)
 from congelation.toml import Section
 
 __all__ = ["read_ssp"]
 
 _FMU = "application/x-fmu-sharedlibrary"
+_PARAMETER_SET = "application/x-ssp-parameter-set"
 
 # How an archive is run that does not say so, as those of other tools: to this tolerance if all
 # its FMUs can take a step back, otherwise with held inputs in so many steps.
@@ -44,23 +53,33 @@ def read_ssp(file: Path) -> Scenario:
     content = archive.find(SSD, "an SSP archive").read_bytes()
     root = parse(content, DESCRIPTION, f"{file}: {SSD}")
     system = root.find("ssd:System", NAMESPACES)
-    components = _components(system, archive)
+    components, ignored = _components(system, archive)
+    surroundings = _surroundings(system, archive, components, ignored)
     document = {
         "title": root.get("description") or root.get("name"),
         **_annotated(root, archive),
         "components": components,
         "connections": list(_connections(system, archive)),
+        "open": surroundings,
     }
     document[EXPERIMENT] = _experiment(root, document.get(EXPERIMENT), components, archive)
     text = content.decode(errors="replace")
-    return read_scenario(file, text, Section(str(file), "", document))
+    scenario = Scenario.from_document(Section(str(file), "", document), file, text)
+    warnings = (f"{file}: there is no variable for the parameter '{name}'" for name in ignored)
+    return scenario.changed(warnings=(*scenario.warnings, *warnings))
 
 
-def _components(system: etree._Element, archive: Archive) -> dict[str, dict[str, object]]:
-    """By name: the FMU and the start values of each component."""
-    components: dict[str, dict[str, object]] = {}
+def _components(
+    system: etree._Element, archive: Archive
+) -> tuple[dict[str, dict[str, Any]], dict[str, object]]:
+    """The FMU and the start values of each component, and the parameters that fit none.
+
+    Those of the system that fit none may be meant for its connectors.
+    """
+    components: dict[str, dict[str, Any]] = {}
+    ignored: dict[str, object] = {}
     # A system's parameters take precedence over its components'.
-    overriding = bound_values(system, archive, "the system")
+    overriding = _bound_values(system, archive, "the system")
     for element in system.findall("ssd:Elements/*", NAMESPACES):
         name = element.get("name", "")
         what = f"component '{name}'"
@@ -70,17 +89,58 @@ def _components(system: etree._Element, archive: Archive) -> dict[str, dict[str,
         if name in components:
             raise archive.error(f"{what} is given twice; names must differ")
         fmu = archive.find(element.get("source", ""), what)
-        values = bound_values(element, archive, what)
-        values |= {
-            key.removeprefix(f"{name}."): value
-            for key, value in overriding.items()
-            if key.startswith(f"{name}.")
-        }
+        values = _bound_values(element, archive, what)
+        for key in [key for key in overriding if key.startswith(f"{name}.")]:
+            values[key.removeprefix(f"{name}.")] = overriding.pop(key)
         known = describe(fmu).variables
         # SSP 1.0: parameters for which there is no variable are ignored.
         start = {key: value for key, value in values.items() if key in known}
+        ignored |= {f"{name}.{key}": v for key, v in values.items() if key not in known}
         components[name] = {"fmu": str(fmu), "start": start}
-    return components
+    return components, ignored | overriding
+
+
+def _surroundings(
+    system: etree._Element,
+    archive: Archive,
+    components: Mapping[str, Mapping[str, Any]],
+    parameters: dict[str, object],
+) -> list[str]:
+    """The inputs that connectors of the system would drive.
+
+    A parameter of the name of such a connector is the value of what is connected to it, and is
+    taken out of `parameters`; it takes precedence over those of the component.
+    """
+    kinds = {
+        connector.get("name"): connector.get("kind")
+        for connector in system.findall("ssd:Connectors/ssd:Connector", NAMESPACES)
+    }
+    inputs: list[str] = []
+    used: set[str] = set()
+    for connection in system.findall("ssd:Connections/ssd:Connection", NAMESPACES):
+        ends = [(connection.get(f"{e}Element"), connection.get(f"{e}Connector")) for e in _ENDS]
+        outer = [connector for element, connector in ends if element is None]
+        inner = [end for end in ends if end[0] is not None]
+        if not outer:
+            continue
+        what = f"connection with the connector '{outer[0]}' of the system"
+        if outer[0] not in kinds:
+            raise archive.error(f"{what}: it has none; {nearest(outer[0], map(str, kinds))}")
+        if any(child.tag in _TRANSFORMATIONS for child in connection):
+            raise archive.error(f"{what}: a transformation; put it into an FMU")
+        if not inner or kinds[outer[0]] == "output":
+            continue
+        (name, variable), *_ = inner
+        if name not in components:
+            raise archive.error(f"{what}: no component '{name}'; {nearest(name, components)}")
+        if outer[0] in parameters:
+            components[name]["start"][variable] = parameters[outer[0]]
+            used.add(outer[0])
+        elif kinds[outer[0]] == "input":
+            inputs.append(f"{name}.{variable}")
+    for name in used:
+        del parameters[name]
+    return inputs
 
 
 def _connections(system: etree._Element, archive: Archive) -> Iterator[str]:
@@ -93,7 +153,7 @@ def _connections(system: etree._Element, archive: Archive) -> Iterator[str]:
     for connection in system.findall("ssd:Connections/ssd:Connection", NAMESPACES):
         ends = [(connection.get(f"{e}Element"), connection.get(f"{e}Connector")) for e in _ENDS]
         if any(element is None for element, _ in ends):
-            continue  # with the surroundings, of which there are none
+            continue  # with the surroundings; see _surroundings
         what = "connection '{}.{} -> {}.{}'".format(*ends[0], *ends[1])
         if any(child.tag in _TRANSFORMATIONS for child in connection):
             raise archive.error(f"{what}: a transformation; put it into an FMU")
@@ -152,7 +212,98 @@ def _experiment(
         raise archive.error(f"{SSD}: DefaultExperiment: stopTime is missing; give it in seconds")
     if "step" in table or "tolerance" in table:
         return table
+    if (annotated_step := _step_of_other_tools(root, archive)) is not None:
+        return {**table, "coupling": "jacobi", "step": annotated_step}
     if all(describe(Path(str(c["fmu"]))).can_get_and_set_state for c in components.values()):
         return {**table, "tolerance": _TOLERANCE}
     step = (table["stop_time"] - table.get("start_time", 0.0)) / _STEPS
     return {**table, "coupling": "jacobi", "step": step}
+
+
+def _step_of_other_tools(root: etree._Element, archive: Archive) -> float | None:
+    """The fixed step that an archive states for libcosim or OMSimulator, which hold inputs."""
+    for path, attribute in (
+        (".//osp:Algorithm/osp:FixedStepAlgorithm", "baseStepSize"),
+        (".//oms:SimulationInformation/oms:FixedStepMaster", "stepSize"),
+    ):
+        element = root.find(path, NAMESPACES)
+        text = None if element is None else element.get(attribute)
+        if text is None:
+            continue
+        try:
+            step = float(text)
+        except ValueError:
+            step = math.nan
+        if not 0.0 < step < math.inf:
+            raise archive.error(f"{SSD}: {attribute} = '{text}' is not a positive time")
+        return step
+    return None
+
+
+def _bound_values(element: etree._Element, archive: Archive, what: str) -> dict[str, object]:
+    """The values that the parameter bindings of a component or system give, by name.
+
+    Later bindings replace earlier ones. A value that states its unit is a table of both.
+
+    Raises
+    ------
+    InvalidInput
+        If a parameter set is missing or not valid, or if a binding cannot be followed; `what`
+        names its owner.
+    """
+    values: dict[str, object] = {}
+    for binding in element.findall("ssd:ParameterBindings/ssd:ParameterBinding", NAMESPACES):
+        _check_binding(binding, archive, what)
+        prefix = binding.get("prefix", "")
+        for parameter_set in _parameter_sets(binding, archive, what):
+            for parameter in parameter_set.findall("ssv:Parameters/ssv:Parameter", NAMESPACES):
+                values[prefix + parameter.get("name", "")] = _value(parameter, archive, what)
+    return values
+
+
+def _check_binding(binding: etree._Element, archive: Archive, what: str) -> None:
+    kind = binding.get("type", _PARAMETER_SET)
+    if kind != _PARAMETER_SET:
+        raise archive.error(f"{what}: parameters of type '{kind}'; give '{_PARAMETER_SET}'")
+    if binding.find("ssd:ParameterMapping", NAMESPACES) is not None:
+        raise archive.error(f"{what}: a parameter mapping; give the FMU's own names")
+    if binding.get("sourceBase", "SSD") != "SSD":
+        raise archive.error(f"{what}: parameters inside of an FMU; put them beside the SSD")
+
+
+def _parameter_sets(
+    binding: etree._Element, archive: Archive, what: str
+) -> Iterator[etree._Element]:
+    source = binding.get("source")
+    if source is not None:
+        content = archive.find(source, what).read_bytes()
+        yield parse(content, PARAMETERS, f"{archive.file}: {source}")
+    for inline in binding.findall("ssd:ParameterValues/ssv:ParameterSet", NAMESPACES):
+        yield parse(etree.tostring(inline), PARAMETERS, f"{archive.file}: parameters of {what}")
+
+
+def _value(parameter: etree._Element, archive: Archive, what: str) -> object:
+    element = next(child for child in parameter if isinstance(child.tag, str))
+    kind = etree.QName(element).localname
+    if kind not in _READERS:
+        name = parameter.get("name")
+        known = ", ".join(_READERS)
+        raise archive.error(f"{what}: parameter '{name}' is a value of type {kind}; give {known}")
+    value = _READERS[kind](element.get("value", ""))
+    if isinstance(value, str) and value and (archive.folder / value).is_file():
+        value = str(archive.find(value, what))  # an FMU looks for files from where its host runs
+    unit = element.get("unit")
+    return value if unit is None else {"value": value, "unit": unit}
+
+
+def _boolean(text: str) -> bool:
+    return text.strip() in ("true", "1")
+
+
+# float and int read every form of xs:double and xs:int; the schema has refused all others.
+_READERS: Mapping[str, Callable[[str], float | int | bool | str]] = {
+    "Real": float,
+    "Integer": int,
+    "Boolean": _boolean,
+    "String": str,
+}

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 
@@ -23,10 +23,16 @@ from congelation.cosim.system import ResolvedSystem
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import Variable
 from congelation.fmi.start import StartValue
-from congelation.results.store import replace_whole
+from congelation.places import replace_whole
 from congelation.scenario.scenario import Experiment, Scenario, Variant
-from congelation.scenario.ssp.archive import Contents
-from congelation.scenario.ssp.schema import ANNOTATION, DESCRIPTION, NAMESPACES, SSD, tag
+from congelation.scenario.ssp.archive import (
+    ANNOTATION,
+    DESCRIPTION,
+    NAMESPACES,
+    SSD,
+    Contents,
+    tag,
+)
 
 __all__ = ["write_ssp"]
 
@@ -38,7 +44,12 @@ _SLAVE_TOLERANCE = 1e-8
 
 
 def write_ssp(
-    scenario: Scenario, file: Path, variant: str | None = None, *, derivatives: bool = False
+    scenario: Scenario,
+    file: Path,
+    variant: str | None = None,
+    *,
+    derivatives: bool = False,
+    step: float | None = None,
 ) -> None:
     """Write one variant of a scenario as an SSP archive.
 
@@ -55,6 +66,9 @@ def write_ssp(
     derivatives : bool
         Whether to connect the outputs der(.) as well. Tools that hold their inputs then hold the
         derivatives with them, and the FMUs extrapolate: second order instead of first.
+    step : float, optional
+        Communication step for tools that have no other, in seconds; that of the experiment if it
+        has one and no tolerance.
 
     Raises
     ------
@@ -64,6 +78,8 @@ def write_ssp(
     StoreError
         If the file cannot be written.
     """
+    if step is not None and not 0.0 < step < math.inf:
+        raise InvalidInput(f"step {step:g} is not valid; give a positive time in seconds")
     if file.suffix != ".ssp":
         raise InvalidInput(f"{file}: the name of an SSP archive ends in .ssp")
     chosen = _variant(scenario, variant)
@@ -86,7 +102,10 @@ def write_ssp(
         _add(_add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=bound)
     _add_connections(system, resolved, ties)
     default = _add_experiment(root, case.experiment)
-    _annotate_step(system, default, case.experiment)
+    if step is None and case.experiment.tolerance is None:
+        step = case.experiment.step
+    if step is not None:
+        _annotate_step(system, default, step, case.experiment)
     beyond = _beyond_ssp(scenario, chosen, case.experiment)
     # OMSimulator refuses annotations of the whole, so this one is the experiment's.
     etree.SubElement(_annotation(default, ANNOTATION), "Scenario").text = json.dumps(
@@ -103,7 +122,7 @@ def _variant(scenario: Scenario, name: str | None) -> Variant:
         if variant.name == name:
             return variant
     names = [variant.name for variant in scenario.variants]
-    raise InvalidInput(f"{scenario.file}: no variant '{name}'; {nearest(name, names)}")
+    raise InvalidInput(f"{scenario.place}: no variant '{name}'; {nearest(name, names)}")
 
 
 def _root(scenario: Scenario, file: Path) -> etree._Element:
@@ -202,6 +221,8 @@ def _parameter_set(start: Iterable[StartValue], contents: Contents) -> bytes:
     root.set("name", _PARAMETER_SET)
     parameters = _add(root, "ssv:Parameters")
     for item in start:
+        if item.value == "":
+            continue  # OMSimulator complains of empty Strings, and they say nothing
         parameter = _add(parameters, "ssv:Parameter", name=item.variable.name)
         value = _packed(item.value, contents)
         _add(parameter, f"ssv:{item.variable.type}", value=value)
@@ -228,11 +249,11 @@ def _add_experiment(root: etree._Element, experiment: Experiment) -> etree._Elem
     return default
 
 
-def _annotate_step(system: etree._Element, default: etree._Element, experiment: Experiment) -> None:
+def _annotate_step(
+    system: etree._Element, default: etree._Element, size: float, experiment: Experiment
+) -> None:
     """The step, where libcosim and OMSimulator look for it."""
-    if experiment.step is None or experiment.tolerance is not None:
-        return
-    step = repr(experiment.step)
+    step = repr(size)
     libcosim = _annotation(default, "com.opensimulationplatform")
     _add(_add(libcosim, "osp:Algorithm"), "osp:FixedStepAlgorithm", baseStepSize=step)
     omsimulator = _add(_annotation(system, "org.openmodelica"), "oms:Annotations")
@@ -250,19 +271,8 @@ def _annotate_step(system: etree._Element, default: etree._Element, experiment: 
 
 def _beyond_ssp(scenario: Scenario, variant: Variant, experiment: Experiment) -> dict[str, object]:
     """The tables of the scenario file that have no place in SSP 1.0."""
-    return {
-        "title": scenario.title,
-        "variants": [{"name": variant.name}],
-        "experiment": {key: v for key, v in asdict(experiment).items() if v is not None},
-        "metrics": {
-            m.name: {"metric": m.metric, **({"of": m.of} if m.of else {}), **m.options}
-            for m in scenario.metrics
-        },
-        "figures": [
-            {key: v for key, v in asdict(figure).items() if v is not None}
-            for figure in scenario.figures
-        ],
-    }
+    said = replace(scenario, experiment=experiment, variants=(Variant(variant.name),)).document()
+    return {key: said[key] for key in ("title", "variants", "experiment", "metrics", "figures")}
 
 
 def _annotation(parent: etree._Element, kind: str) -> etree._Element:

@@ -1,0 +1,83 @@
+"""Archives that may come from anyone: what kind they are, and unpacking them within bounds."""
+
+from __future__ import annotations
+
+import zipfile
+import zlib
+from pathlib import Path, PurePosixPath
+
+from congelation.errors import InvalidInput
+
+__all__ = ["DAMAGED", "check_archive", "unpack_archive"]
+
+MOST_BYTES = 2 * 2**30
+"""Unpacked, of all files: several times the largest FMUs there are."""
+
+MOST_FILES = 100_000
+
+HARMLESS_BYTES = 64 * 2**20
+MOST_COMPRESSION = 100.0
+"""Beyond so many bytes: libraries and tables shrink to a tenth, a bomb to a thousandth."""
+
+# What zipfile raises for archives that are damaged, encrypted, or of another method.
+DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError, RuntimeError)
+
+
+def check_archive(file: Path, kind: str) -> None:
+    """Refuse an archive whose files would lie outside its folder, or fill the disk.
+
+    Nothing is unpacked. `kind` is what it should be, for messages: ``an FMU``.
+
+    Raises
+    ------
+    InvalidInput
+        Naming the file and what is wrong with it.
+    """
+    try:
+        with zipfile.ZipFile(file) as archive:
+            entries = archive.infolist()
+    except DAMAGED as error:
+        raise InvalidInput(f"{file} is not {kind}: {error}") from error
+    names = set()
+    for entry in entries:
+        # The name as stored: zipfile cuts it at a zero byte, and maps \\ on Windows alone.
+        name = entry.orig_filename
+        path = PurePosixPath(name)
+        if path.is_absolute() or ".." in path.parts or {*name} & {"\\", ":", "\0"}:
+            raise InvalidInput(
+                f"{file}: '{name}' does not lie inside the archive's folder; it is not unpacked"
+            )
+        if name in names:
+            raise InvalidInput(f"{file}: '{name}' is in the archive twice; it is not unpacked")
+        names.add(name)
+        if (entry.external_attr >> 16) & 0o170000 == 0o120000:
+            raise InvalidInput(f"{file}: '{name}' is a symbolic link; it is not unpacked")
+    size = sum(entry.file_size for entry in entries)
+    packed = max(sum(entry.compress_size for entry in entries), 1)
+    if len(entries) > MOST_FILES:
+        raise InvalidInput(f"{file}: {len(entries)} files; at most {MOST_FILES} are unpacked")
+    if size > MOST_BYTES:
+        raise InvalidInput(
+            f"{file}: {size / 2**30:.3g} GiB unpacked; at most {MOST_BYTES / 2**30:g} GiB are"
+        )
+    if size > HARMLESS_BYTES and size > MOST_COMPRESSION * packed:
+        raise InvalidInput(
+            f"{file}: grows to {size / packed:.0f} times its size; "
+            f"at most {MOST_COMPRESSION:g} times is unpacked"
+        )
+
+
+def unpack_archive(file: Path, folder: Path, kind: str) -> None:
+    """Unpack an archive, after checking it.
+
+    Raises
+    ------
+    InvalidInput
+        As `check_archive`; or if it is damaged.
+    """
+    check_archive(file, kind)
+    try:
+        with zipfile.ZipFile(file) as archive:
+            archive.extractall(folder)
+    except DAMAGED as error:
+        raise InvalidInput(f"{file} is not {kind}: {error}") from error

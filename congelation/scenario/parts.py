@@ -1,0 +1,118 @@
+"""What a scenario consists of, each a frozen record: experiment, metrics, figures, variants."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from congelation.cosim.experiment import Experiment
+from congelation.cosim.system import System
+from congelation.errors import InvalidInput
+
+__all__ = [
+    "EXPERIMENT",
+    "Case",
+    "Experiment",
+    "FigureSpec",
+    "MetricSpec",
+    "Scalar",
+    "Settings",
+    "Variant",
+    "agreed",
+]
+
+Scalar = float | int | bool | str
+
+Settings = Mapping[str, Scalar]
+"""Values by ``component.variable`` and ``experiment.key``, one for each scalar variable."""
+
+EXPERIMENT = "experiment"
+"""Name of the table, and what settings of its keys begin with."""
+
+
+def agreed(values: Mapping[str, Any], place: Callable[[str], str]) -> Experiment:
+    """The experiment, after checking that its keys agree with each other.
+
+    Parameters
+    ----------
+    values : mapping
+        The fields of an experiment, each of which is valid by itself.
+    place : callable
+        Where a key stands, for messages.
+
+    Raises
+    ------
+    InvalidInput
+        Naming the key and what would be valid.
+    """
+    start, stop, tolerance = values["start_time"], values["stop_time"], values["tolerance"]
+    if not 0.0 < stop - start < float("inf"):
+        raise InvalidInput(
+            f"{place('stop_time')} = {stop:g} is not valid; "
+            f"give a time after start_time = {start:g}"
+        )
+    if values["step"] is None and tolerance is None:
+        raise InvalidInput(f"{place('step')} is missing; give a time in seconds, or a tolerance")
+    if values["output_every"] is not None and values["output_interval"] is not None:
+        raise InvalidInput(f"{place('output_every')} and output_interval exclude each other")
+    try:
+        experiment = Experiment(**values)
+    except InvalidInput as error:
+        raise InvalidInput(f"{place('coupling')}: {error}") from error
+    if "tolerance" in experiment.options and tolerance is not None:
+        raise InvalidInput(
+            f"{place('options')}.tolerance has no effect beside {EXPERIMENT}.tolerance; "
+            "leave one of them out"
+        )
+    return experiment
+
+
+@dataclass(frozen=True)
+class MetricSpec:
+    """A metric of a group of variables, under the name of its column.
+
+    `of` is empty where the metric is of the closed loop as a whole.
+    """
+
+    name: str
+    metric: str
+    of: str = ""
+    options: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FigureSpec:
+    """A figure: one panel per group of variables, ``|plant.x|`` for the norm of a group.
+
+    `span` is the part of the time axis to show, in seconds; None: all of it.
+    """
+
+    name: str
+    panels: tuple[str, ...]
+    span: tuple[float, float] | None = None
+
+    @property
+    def variables(self) -> tuple[str, ...]:
+        """What the panels show."""
+        return tuple(panel.strip("|") for panel in self.panels)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A named change of the scenario.
+
+    `settings` maps ``component.variable`` and ``experiment.key`` to values; those of a scenario
+    have one entry for each scalar variable.
+    """
+
+    name: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scenario with all settings applied: what one run does."""
+
+    system: System
+    experiment: Experiment

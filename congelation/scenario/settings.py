@@ -1,0 +1,232 @@
+"""Settings: what start values, profiles and variants say, as scalar variables of the FMUs."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from functools import partial
+from pathlib import Path
+
+from congelation import keys
+from congelation.errors import InvalidInput, nearest
+from congelation.fmi.description import Description
+from congelation.fmi.start import resolve_start
+from congelation.fmi.units import Conversion, conversion
+from congelation.scenario.parts import EXPERIMENT, Experiment, Scalar, agreed
+from congelation.signals import Profile, ProfileError, Slots
+from congelation.toml import Section
+
+__all__ = ["SettingsReader", "component_values"]
+
+_TERM_SLOT = re.compile(r"(?P<kind>sine|square|chirp|telegraph)\[\d+\]\.amplitude")
+
+# The keys of the experiment that no variant may change.
+_FIXED = ("record", "options")
+
+
+@dataclass(frozen=True)
+class SettingsReader:
+    """Reads tables of settings ``owner.key``; owners are the components and `experiment`.
+
+    Parameters
+    ----------
+    descriptions : mapping
+        The FMUs of the components, by name.
+    driven : mapping
+        Inputs ``component.variable`` that connections drive, and the connection of each.
+    experiment : Experiment
+        The one that settings change.
+    """
+
+    descriptions: Mapping[str, Description]
+    driven: Mapping[str, str]
+    experiment: Experiment
+
+    def read(self, section: Section) -> dict[str, Scalar]:
+        """The settings of a table, one entry for each scalar variable.
+
+        Raises
+        ------
+        InvalidInput
+            An unknown name, a value that does not fit, an experiment whose keys do not agree.
+        """
+        owners = _by_owner(section)
+        known = (*self.descriptions, EXPERIMENT)
+        flat: dict[str, Scalar] = {}
+        for owner in owners.data:
+            if owner not in known:
+                raise section.error(owner, f"is no component; {nearest(owner, known)}")
+            changed = owners.section(owner)
+            if owner == EXPERIMENT:
+                values = self._experiment(changed)
+            else:
+                values = component_values(
+                    changed.without("profile"),
+                    changed.section("profile"),
+                    self.descriptions[owner],
+                )
+                self.check_free(changed, owner, values)
+            flat |= {f"{owner}.{key}": value for key, value in values.items()}
+        return flat
+
+    def check_free(self, section: Section, name: str, values: Iterable[str]) -> None:
+        """Raise InvalidInput where a start value of component `name` is of a connected input."""
+        for variable in values:
+            if link := self.driven.get(f"{name}.{variable}"):
+                raise section.within(
+                    f"'{variable}' has no effect, as '{link}' drives it; leave one of them out"
+                )
+
+    def _experiment(self, section: Section) -> dict[str, Scalar]:
+        """The experiment's settings in a table, as plain numbers and names."""
+        section.only(key for key in keys.EXPERIMENT.names if key not in _FIXED)
+        values = {key: section.value(keys.EXPERIMENT[key]) for key in section.data}
+        base = replace(section, path=EXPERIMENT)
+        agreed(
+            {f.name: getattr(self.experiment, f.name) for f in fields(self.experiment)} | values,
+            lambda key: (section if key in section.data else base).place(key),
+        )
+        return values
+
+
+def component_values(
+    start: Section, profile: Section, description: Description
+) -> dict[str, Scalar]:
+    """The start values and the profile of a component, one entry for each scalar variable.
+
+    Raises
+    ------
+    InvalidInput
+        An unknown variable, a value of the wrong type or shape, a variable given twice.
+    """
+    values = _start_values(start, description)
+    terms = _profile_values(profile, description)
+    for twice in sorted(values.keys() & terms.keys()):
+        raise start.error(twice, "is given by the profile as well; leave one of them out")
+    return values | terms
+
+
+def _start_values(section: Section, description: Description) -> dict[str, Scalar]:
+    """The start values of a table, one per scalar variable.
+
+    Vectors and matrices may be given as arrays, and a value together with its unit,
+    ``{value = 2.0, unit = "s"}``, which then has to be the one that the FMU declares.
+
+    Raises
+    ------
+    InvalidInput
+        An unknown variable, a value of the wrong type or shape, or another unit.
+    """
+    plain = {key: _without_unit(section, key, description) for key in section.data}
+    found = resolve_start(description, plain, section.place(""))
+    return {s.variable.name: s.value for s in found}
+
+
+def _profile_values(section: Section, description: Description) -> dict[str, Scalar]:
+    """The profiles theta[j](t) of a table, as the FMU's parameters ``profile[j].*``.
+
+    Raises
+    ------
+    InvalidInput
+        No such component of theta, a term that is not valid, or more terms than the FMU takes.
+    """
+    folder = str(Path(section.file).absolute().parent)
+    values: dict[str, Scalar] = {}
+    for key, spec in section.data.items():
+        prefix = _profile_prefix(section, key, description)
+        offered = [n.removeprefix(prefix) for n in description.variables if n.startswith(prefix)]
+        try:
+            profile = Profile.from_spec(spec, section.place(key), folder)
+        except ProfileError as error:  # its text begins with the place
+            raise InvalidInput(str(error)) from error
+        flat = section.attempt(key, partial(profile.to_flat, _slots(offered)))
+        values |= {prefix + name: value for name, value in flat.items()}
+    return values
+
+
+def _without_unit(section: Section, key: str, description: Description) -> object:
+    """The value under `key`, in the unit of its variable if it states one of its own."""
+    if not isinstance(section.data[key], Mapping):
+        return section.data[key]
+    quantity = section.section(key).only(("value", "unit")).require("value", "unit")
+    unit = quantity.text("unit")
+    named = [v for n, v in description.variables.items() if n == key or n.startswith(f"{key}[")]
+    declared = sorted({variable.unit or "1" for variable in named})
+    if not declared or declared == [unit]:
+        return quantity.data["value"]
+    units = " and ".join(f"'{name}'" for name in declared)
+    if len(declared) > 1:
+        raise quantity.error("unit", f"= '{unit}' is not the unit of '{key}'; give {units}")
+    own, relative = description.unit(declared[0]), any(variable.relative for variable in named)
+    try:
+        found = conversion(description.unit(unit), own, relative=relative)
+    except InvalidInput as error:
+        text = f"= '{unit}' is not the unit of '{key}': {error}; give one such as {units}"
+        raise quantity.error("unit", text) from None
+    if found.doubt:
+        raise quantity.error("unit", f"= '{unit}' is not the unit of '{key}'; give {units}")
+    return _converted(quantity, found)
+
+
+def _converted(quantity: Section, to: Conversion) -> object:
+    """The value of a quantity, a number or rows of numbers, converted."""
+
+    def convert(value: object) -> object:
+        if isinstance(value, list):
+            return [convert(entry) for entry in value]
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise quantity.wrong("value", "a number, or an array of numbers, as it has a unit")
+        try:
+            return to.factor * value + to.offset
+        except OverflowError:
+            raise quantity.wrong("value", "a number that a float can hold") from None
+
+    return convert(quantity.data["value"])
+
+
+def _profile_prefix(section: Section, key: str, description: Description) -> str:
+    """What the FMU's names of the profile parameters of ``theta[j]`` begin with."""
+    means = [n for n in description.variables if re.fullmatch(r"profile\[\d+\]\.mean", n)]
+    components = {f"theta[{n[8 : n.index(']')]}]": n.removesuffix("mean") for n in means}
+    if not components:
+        raise section.error(key, f"has no place: {description.path.name} takes no profile")
+    if key not in components:
+        raise section.error(key, f"is no parameter with a profile; {nearest(key, components)}")
+    return components[key]
+
+
+def _slots(offered: Iterable[str]) -> Slots:
+    """The room for terms that an FMU has, from the names of its profile parameters."""
+    names = set(offered)
+    matches = (_TERM_SLOT.fullmatch(name) for name in names)
+    kinds = [match["kind"] for match in matches if match]
+    return Slots(
+        sines=kinds.count("sine"),
+        squares=kinds.count("square"),
+        chirps=kinds.count("chirp"),
+        telegraphs=kinds.count("telegraph"),
+        table="table.file" in names,
+    )
+
+
+def _by_owner(section: Section) -> Section:
+    """`section` with its keys ``owner.key`` and ``owner.profile.theta[j]`` as nested tables."""
+    grouped: dict[str, dict[str, object]] = {}
+    profiles: dict[str, dict[str, object]] = {}
+    for name, value in section.data.items():
+        owner, dot, key = name.partition(".")
+        settings = {key: value} if dot else value
+        if not isinstance(settings, Mapping):
+            raise section.error(name, "is no setting; write it as 'component.variable'")
+        for inner, setting in settings.items():
+            of = profiles if inner.startswith("profile.") else grouped
+            table = of.setdefault(owner, {})
+            if inner.removeprefix("profile.") in table:
+                raise section.error(f"{owner}.{inner}", "is given twice; leave one of them out")
+            table[inner.removeprefix("profile.")] = setting
+    for owner, profile in profiles.items():
+        if "profile" in grouped.setdefault(owner, {}):
+            raise section.error(f"{owner}.profile", "is given twice; leave one of them out")
+        grouped[owner]["profile"] = profile
+    return replace(section, data=grouped)

@@ -1,0 +1,161 @@
+"""What a scenario means: units of start values, and connections that were forgotten."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from congelation.cli import app
+from congelation.errors import InvalidInput
+from congelation.results.provenance import about
+from congelation.scenario.load import load_scenario
+from tests.cosim.test_units import with_units
+from tests.scenarios import FMUS, SCALAR, write
+
+LINK = '"plant.x -> controller.x", '
+
+
+def scenario_with(folder: Path, units: dict[str, str], *changes: tuple[str, str]) -> Path:
+    fmu = with_units(folder, "ScalarPlant", units)
+    return write(folder, SCALAR, (f"{FMUS}/ScalarPlant.fmu", str(fmu)), *changes)
+
+
+@pytest.mark.parametrize(
+    ("unit", "value", "given", "expected"),
+    [
+        ("K", "20", "degC", 293.15),
+        ("K", "68", "degF", 293.15),
+        ("degC", "293.15", "K", 20.0),
+        ("km/h", "10", "m/s", 36.0),
+        ("m/s", "36", "km/h", 10.0),
+        ("deg", "1", "rad", 57.29577951308232),
+        ("K", "[20]", "degC", 293.15),
+    ],
+)
+def test_start_values_are_given_in_any_unit_of_their_kind(
+    tmp_path: Path, unit: str, value: str, given: str, expected: float
+) -> None:
+    start = f'{{x0 = {{value = {value}, unit = "{given}"}}}}'
+    file = scenario_with(tmp_path, {"x": unit, "x0[1]": unit}, ("{x0 = [1.0]}", start))
+    plant = load_scenario(file).system.components[0]
+    assert plant.start["x0[1]"] == pytest.approx(expected, rel=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("start", "message"),
+    [
+        (
+            '{value = 1, unit = "m"}',
+            "start.x0.unit = 'm' is not the unit of 'x0': 'm' cannot become 'K': m against K in SI "
+            "units; give one such as 'K'",
+        ),
+        (
+            '{value = 1, unit = "furlong"}',
+            "start.x0.unit = 'furlong' is not the unit of 'x0'; give",
+        ),
+        ('{value = true, unit = "degC"}', "start.x0.value = true is not valid; give a number"),
+        ('{value = "1", unit = "degC"}', "start.x0.value = '1' is not valid; give a number"),
+    ],
+)
+def test_other_units_are_refused(tmp_path: Path, start: str, message: str) -> None:
+    file = scenario_with(tmp_path, {"x0[1]": "K"}, ("{x0 = [1.0]}", f"{{x0 = {start}}}"))
+    with pytest.raises(InvalidInput) as told:
+        load_scenario(file)
+    assert f"{file}: components.plant.{message}" in str(told.value)
+
+
+def test_a_connection_of_other_base_units_is_refused(tmp_path: Path) -> None:
+    controller = with_units(tmp_path, "ScalarController", {"u": "rad"})
+    change = (f"{FMUS}/ScalarController.fmu", str(controller))
+    file = scenario_with(tmp_path, {"u": "K"}, change)
+    with pytest.raises(InvalidInput) as told:
+        load_scenario(file)
+    assert str(told.value).startswith(f"{file}: connection 'controller.u -> plant.u': ")
+    assert "cannot become 'K'" in str(told.value)
+
+
+def test_a_unit_on_one_side_is_a_warning(tmp_path: Path) -> None:
+    file = scenario_with(tmp_path, {"x": "K"})
+    (warning,) = load_scenario(file).warnings
+    assert warning == (
+        f"{file}: connection 'plant.x -> controller.x': the input states no unit, the other end 'K'"
+    )
+
+
+def test_a_forgotten_connection_is_named(tmp_path: Path) -> None:
+    file = write(tmp_path, SCALAR, (LINK, ""))
+    (warning,) = load_scenario(file).warnings
+    assert warning == (
+        f"{file}: input 'controller.x' has no connection and no start value; "
+        'connect it, set it, or list it in open = ["controller.x"]'
+    )
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("k_bar = 0.5", "k_bar = 0.5, x = 1.0"),
+        ('title = "A short loop"', 'title = "A short loop"\nopen = ["controller.x"]'),
+        ('"controller.damping" = false', '"controller.damping" = false, "controller.x" = 1.0'),
+        (
+            "[[figures]]",
+            '[sweep]\n[[sweep.axes]]\nset = "controller.x"\nvalues = [1.0, 2.0]\n[[figures]]',
+        ),
+    ],
+)
+def test_an_input_that_is_set_or_left_open_is_not(tmp_path: Path, change: tuple[str, str]) -> None:
+    assert load_scenario(write(tmp_path, SCALAR, (LINK, ""), change)).warnings == ()
+
+
+def test_shipped_fmus_say_which_inputs_are_left_alone(tmp_path: Path) -> None:
+    """der(.) and dtheta are optional: nothing is said of them."""
+    assert load_scenario(write(tmp_path)).warnings == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("controller.y", "open: record 'controller.y': "),
+        ("plant.x", "open: 'plant.x' is of causality output, no input"),
+    ],
+)
+def test_open_names_inputs(tmp_path: Path, name: str, message: str) -> None:
+    title = 'title = "A short loop"'
+    with pytest.raises(InvalidInput) as told:
+        load_scenario(write(tmp_path, SCALAR, (title, f'{title}\nopen = ["{name}"]')))
+    assert message in str(told.value)
+
+
+@pytest.mark.parametrize("command", ["run", "sweep"])
+def test_strict_takes_warnings_for_errors(tmp_path: Path, command: str) -> None:
+    axis = '[sweep]\n[[sweep.axes]]\nset = "controller.gamma"\nvalues = [1.0]\n[[figures]]'
+    file = write(tmp_path, SCALAR, (LINK, ""), ("[[figures]]", axis))
+    out = ("--out", str(tmp_path / "out"))
+    done = CliRunner().invoke(app, [command, str(file), *out, "--strict"])
+    assert isinstance(done.exception, InvalidInput)
+    assert str(done.exception).startswith(f"{file}: input 'controller.x' has no connection")
+    done = CliRunner().invoke(app, [command, str(file), *out])
+    assert f"warning: {file}: input 'controller.x'" in done.stderr
+
+
+@pytest.mark.parametrize(("second", "unit"), [("rad", ""), ("K", "K^2 s")])
+def test_a_metric_of_mixed_units_has_none(tmp_path: Path, second: str, unit: str) -> None:
+    plant = with_units(tmp_path, "StrictFeedbackPlant", {"theta[1]": "K", "theta[2]": second})
+    file = write(
+        tmp_path,
+        SCALAR,
+        (f"{FMUS}/ScalarPlant.fmu", str(plant)),
+        (f"{FMUS}/ScalarController.fmu", str(FMUS / "StateFeedbackController.fmu")),
+        ("{x0 = [1.0]}", "{x0 = [1.0, 0.0]}"),
+        ("{k_bar = 0.5, epsilon = 0.3}", "{}"),
+        (
+            "[metrics]",
+            '[metrics]\nsquared = {metric = "ise", of = "plant.theta"}\n'
+            'settled = {metric = "settling_time", of = "plant.theta", below = 1}',
+        ),
+    )
+    found = about(load_scenario(file), ())["metrics"]
+    assert found["squared"]["unit"] == unit
+    assert found["settled"]["unit"] == "s"
