@@ -301,9 +301,9 @@ def test_a_step_that_other_tools_read_is_read(tmp_path: Path, tool: str) -> None
     for element in root.findall(".//{*}Annotation"):
         if element.get("type") != tool:
             element.getparent().remove(element)
-    for annotations in root.findall(".//{*}Annotations"):
-        if len(annotations) == 0 and annotations.tag.startswith("{http://ssp"):
-            annotations.getparent().remove(annotations)
+    for empty in root.findall(".//{*}Annotations"):
+        if len(empty) == 0 and empty.tag.startswith("{http://ssp"):
+            empty.getparent().remove(empty)
     plain = pack(tmp_path / "plain.ssp", {**entries, SSD: etree.tostring(root)})
     experiment = read_ssp(plain).experiment
     assert (experiment.coupling, experiment.step, experiment.tolerance) == ("jacobi", 0.02, None)
