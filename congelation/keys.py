@@ -173,6 +173,8 @@ AXIS = Table(
     (
         Key("set", "name or names", "a setting, or several that change together", None, True),
         Key("values", "values", "the values; of several settings, rows of a value each"),
+        Key("linspace", "numbers", "[first, last, count], equally far apart"),
+        Key("logspace", "numbers", "[first, last, count], equal ratios; first and last positive"),
         Key("uniform", "numbers", "[low, high]"),
         Key("log_uniform", "numbers", "[low, high], both positive"),
         Key("normal", "numbers", "[mean, standard deviation]"),

@@ -36,7 +36,7 @@ def test_choices_are_those_that_the_rooms_offer() -> None:
     assert keys.SWEEP["sampling"].choices == tuple(SAMPLINGS)
     assert keys.SPEC["form"].choices == tuple(FORMS)
     assert keys.STRUCTURE["filter"].choices == tuple(FILTERS)
-    assert {*keys.AXIS.names} == {"set", "values", *DISTRIBUTIONS}
+    assert {*keys.AXIS.names} == {"set", "values", "linspace", "logspace", *DISTRIBUTIONS}
     assert {*keys.STRUCTURE.names} == {key for form in FORMS.values() for key in form.keys}
     assert {*keys.EXPERIMENT.names} == {field.name for field in fields(Experiment)}
 

@@ -7,6 +7,8 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from congelation import keys
 from congelation.scenario.axes import DISTRIBUTIONS, RandomAxis, Replicates, Sweep
 from congelation.scenario.constraint import Constraint
@@ -117,10 +119,15 @@ def _axis(section: Section, reader: SettingsReader) -> RandomAxis | tuple[Settin
     read = section.read(keys.AXIS)
     kinds = [key for key in section.data if key != "set"]
     if len(kinds) != 1:
-        known = ", ".join(("values", *DISTRIBUTIONS))
+        known = ", ".join(keys.AXIS.names[1:])
         raise section.error("set", f"needs one of: {known}")
     if kinds == ["values"]:
         return _list(section, read["set"], read["values"], reader)
+    if kinds[0] in ("linspace", "logspace"):
+        names = read["set"]
+        rows = [[value] * len(names) for value in _spaced(section, kinds[0], read[kinds[0]])]
+        listed = replace(section, data={"set": list(names), "values": rows})
+        return _list(listed, names, tuple(rows), reader)
     return _random(section, read["set"], kinds[0], read[kinds[0]], reader)
 
 
@@ -141,6 +148,23 @@ def _list(
     if any(entry.keys() != entries[0].keys() for entry in entries):
         raise section.error("values", "do not all set the same variables")
     return tuple(entries)
+
+
+def _spaced(section: Section, kind: str, numbers: tuple[float, ...]) -> list[float]:
+    """The values of `linspace` or `logspace`; both ends are exact."""
+    valid = (
+        len(numbers) == 3 and numbers[2] == int(numbers[2]) and 2 <= numbers[2] <= keys.MOST_RUNS
+    )
+    if not valid or numbers[0] == numbers[1]:
+        raise section.wrong(kind, "[first, last, count] with two ends and a count of at least 2")
+    first, last, count = numbers[0], numbers[1], int(numbers[2])
+    if kind == "logspace":
+        if not (first > 0.0 and last > 0.0):
+            raise section.wrong(kind, "[first, last, count] with positive ends")
+        inner = np.geomspace(first, last, count)[1:-1]
+    else:
+        inner = np.linspace(first, last, count)[1:-1]
+    return [first, *inner.tolist(), last]
 
 
 def _random(

@@ -61,6 +61,27 @@ def test_lists_are_crossed_with_each_other_and_with_the_sample(tmp_path: Path) -
     assert all(0.1 <= float(p["controller.epsilon"]) <= 1.0 for p in points)
 
 
+@pytest.mark.parametrize(
+    ("axis", "expected"),
+    [
+        ("linspace = [1, 2, 5]", [1.0, 1.25, 1.5, 1.75, 2.0]),
+        ("linspace = [2, -2, 3]", [2.0, 0.0, -2.0]),
+        ("logspace = [0.01, 100, 5]", [0.01, 0.1, 1.0, 10.0, 100.0]),
+        ("logspace = [1.1, 1.3, 2]", [1.1, 1.3]),
+    ],
+)
+def test_values_may_be_spaced(tmp_path: Path, axis: str, expected: list[float]) -> None:
+    for names in ('"plant.x0"', '["plant.x0", "controller.theta_hat0"]'):
+        text = f"\n[sweep]\n[[sweep.axes]]\nset = {names}\n{axis}\n"
+        sweep = load_scenario(write(tmp_path, SCALAR + text)).sweep
+        assert sweep is not None
+        points = list(sweep.points())
+        for name in sweep.names():
+            found = [point[name] for point in points]
+            assert found == pytest.approx(expected, rel=1e-14)
+            assert (found[0], found[-1]) == (expected[0], expected[-1])
+
+
 def test_equal_seeds_give_equal_points(tmp_path: Path) -> None:
     points = list(sweep_of(tmp_path).points())
     assert list(sweep_of(tmp_path).points()) == points
@@ -134,7 +155,8 @@ MISTAKES = {
     "two kinds in one axis": (
         "uniform = [-2, 2]",
         "uniform = [-2, 2]\nnormal = [0, 1]",
-        "sweep.axes[2].set needs one of: values, uniform, log_uniform, normal, integers",
+        "sweep.axes[2].set needs one of: values, linspace, logspace, uniform, "
+        "log_uniform, normal, integers",
     ),
     "log of a negative number": (
         "[0.1, 1.0]",
@@ -157,6 +179,31 @@ MISTAKES = {
         "sweep.axes[3].values[1].experiment.coupling = 'jakobi' is not known",
     ),
     "values of no list": ("values = [1, 2]", "values = 1", "sweep.axes[4].values = 1 is not valid"),
+    "linspace without a count": (
+        "values = [1, 2]",
+        "linspace = [1, 2]",
+        "sweep.axes[4].linspace = [1, 2] is not valid; give [first, last, count]",
+    ),
+    "linspace of half a count": (
+        "values = [1, 2]",
+        "linspace = [1, 2, 2.5]",
+        "sweep.axes[4].linspace = [1, 2, 2.5] is not valid",
+    ),
+    "linspace of one end": (
+        "values = [1, 2]",
+        "linspace = [1, 1, 3]",
+        "sweep.axes[4].linspace = [1, 1, 3] is not valid",
+    ),
+    "logspace of a negative end": (
+        "values = [1, 2]",
+        "logspace = [-1, 2, 3]",
+        "sweep.axes[4].logspace = [-1, 2, 3] is not valid; give [first, last, count] with positive",
+    ),
+    "a spaced value that is not valid": (
+        'set = "controller.gamma"\nvalues = [1, 2]',
+        'set = "experiment.slave_tolerance"\nlinspace = [0, 0.1, 3]',
+        "sweep.axes[4].values[1].experiment.slave_tolerance = 0.0 is not valid",
+    ),
     "samples without a random axis": (
         SWEEP,
         '[sweep]\nsamples = 2\n[[sweep.axes]]\nset = "controller.gamma"\nvalues = [1]',
