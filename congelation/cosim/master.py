@@ -17,6 +17,7 @@ from congelation.cosim.result import Result, RunEnded, Statistics, Status
 from congelation.cosim.stepping import Progress, Session, run_adaptive, run_fixed
 from congelation.cosim.system import System
 from congelation.errors import InvalidInput, SlaveError
+from congelation.fmi.slave import SlaveTerminated
 
 __all__ = ["perform", "simulate"]
 
@@ -191,6 +192,9 @@ def _ended(session: Session, experiment: Experiment) -> tuple[Status, str]:
         except RunEnded as end:
             session.finish(completed=False)
             return end.status, end.message
+        except SlaveTerminated as end:
+            session.finish(completed=True)
+            return Status.TERMINATED, str(end)
         except SlaveError as error:
             session.finish(completed=False)
             return Status.SLAVE_FAILED, str(error)

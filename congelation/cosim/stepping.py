@@ -21,7 +21,7 @@ from congelation.cosim.exchange import Exchange
 from congelation.cosim.experiment import step_count
 from congelation.cosim.recording import Rows
 from congelation.cosim.result import RunEnded, Statistics, Status
-from congelation.fmi.slave import StepDiscarded
+from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
 __all__ = ["Progress", "Session", "StepSize", "run_adaptive", "run_fixed"]
 
@@ -245,6 +245,7 @@ class Session:
             fmi_calls=self.ensemble.calls + stepper.iterations * stepper.calls_per_iteration,
             events=self.events,
             floors=self.floors,
+            warnings=sum(slave.log.warnings for slave in self.ensemble.slaves),
             estimated_error=max(self.largest_error, stepper.largest_error()),
             wall_time=wall_time,
         )
@@ -380,7 +381,7 @@ def _tried(
         else:
             trial = stepper.attempt(state, time, end)
         session.ensemble.check(end)
-    except (RunEnded, StepDiscarded):
+    except (RunEnded, StepDiscarded, SlaveTerminated):
         if end - time <= smallest:
             raise
         return None, math.inf

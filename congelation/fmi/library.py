@@ -21,10 +21,10 @@ from fmpy.logging import addLoggerProxy
 from congelation.errors import InvalidInput
 from congelation.fmi.description import Description
 
-__all__ = ["ERROR", "Log", "Message", "load", "unpack"]
+__all__ = ["DISCARD", "ERROR", "FATAL", "WARNING", "Log", "Message", "load", "unpack"]
 
-ERROR = 3
-"""fmi2Error; fmi2Fatal is above it."""
+WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
+"""Of fmi2Status."""
 
 KEPT_MESSAGES = 200
 """Messages kept per instance: enough to explain a failure, bounded in a long run."""
@@ -46,14 +46,26 @@ class Message:
 
 @dataclass
 class Log:
-    """The messages of one instance; `error` is the last one of status fmi2Error or worse."""
+    """The messages of one instance.
+
+    Attributes
+    ----------
+    error : Message or None
+        The last one of status fmi2Error or worse.
+    warnings, refusals : int
+        How many there were of status fmi2Warning, and of fmi2Discard or worse.
+    """
 
     messages: deque[Message] = field(default_factory=lambda: deque(maxlen=KEPT_MESSAGES))
     error: Message | None = None
+    warnings: int = 0
+    refusals: int = 0
 
     def add(self, message: Message) -> None:
         """Keep a message."""
         self.messages.append(message)
+        self.warnings += message.status == WARNING
+        self.refusals += DISCARD <= message.status <= FATAL
         if message.status >= ERROR:
             self.error = message
 
@@ -61,6 +73,7 @@ class Log:
         """Forget everything."""
         self.messages.clear()
         self.error = None
+        self.warnings = self.refusals = 0
 
 
 def unpack(description: Description) -> Path:

@@ -56,7 +56,7 @@ def execute(
     )
     kept = Trajectory(result.time, result.names, result.values, _units(run, result.names))
     metrics: Mapping[str, float | None] = dict.fromkeys(spec.name for spec in scenario.metrics)
-    if result.completed:  # a metric of half a run would pass for one of a whole run
+    if result.whole:  # a metric of half a run would pass for one of a whole run
         measured = points.with_rows(kept) if apart else kept
         metrics = measure(scenario.metrics, run.case, measured)
     steps, wall_time = result.statistics.macro_steps, result.statistics.wall_time
