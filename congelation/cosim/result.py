@@ -37,6 +37,10 @@ class Status(Enum):
         "An algebraic loop could not be solved; give start values nearer to its solution, or "
         "break the loop with a component that has a state."
     )
+    TOO_MANY_STEPS = (
+        "The run took max_steps steps before its stop time; allow more, loosen the tolerance, or "
+        "choose a longer communication step."
+    )
     STEP_TOO_SMALL = (
         "The tolerance asks for communication steps below the resolution of time; loosen it, or "
         "look for a jump that no component announces."

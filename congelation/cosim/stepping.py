@@ -83,6 +83,7 @@ class Session:
         Seconds.
     tolerance : float or None
         For the step control.
+    max_steps : int or None
     rows : sequence of Rows
     progress : callable or None
         Called with the fraction done, about ten times a second.
@@ -106,6 +107,7 @@ class Session:
         start: float,
         stop: float,
         tolerance: float | None,
+        max_steps: int | None,
         rows: Sequence[Rows],
         progress: Progress | None,
     ) -> None:
@@ -116,6 +118,7 @@ class Session:
         self._exchange = Exchange(ensemble)
         self._coupling = coupling
         self._tolerance = tolerance
+        self._max_steps = math.inf if max_steps is None else max_steps
         # A point on a jump makes a step of another length.
         self._lands = coupling.lands_on_events and all(
             member.description.can_vary_step for member in ensemble.system.members
@@ -216,8 +219,14 @@ class Session:
         self._count(time)
 
     def _count(self, time: float) -> None:
-        self._time = time
+        length, self._time = time - self._time, time
         self.steps += 1
+        if self.steps + self.rejected >= self._max_steps and time < self.stop:
+            raise RunEnded(
+                Status.TOO_MANY_STEPS,
+                f"{self.steps} steps (and {self.rejected} taken back) reached t = {time:.9g} of "
+                f"{self.stop:.9g}; the last one was {length:.3g} s long",
+            )
         if self._progress is not None and clock.monotonic() >= self._next_report:
             self.report((time - self.start) / (self.stop - self.start))
 

@@ -116,6 +116,7 @@ def load(description: Description, name: str, log: Log) -> FMU2Slave:
         No binary for this platform, or one that cannot be loaded.
     """
     folder = unpack(description)
+    is_python = _claim_module(folder, description)
     try:
         slave = FMU2Slave(
             guid=description.guid,
@@ -128,7 +129,7 @@ def load(description: Description, name: str, log: Log) -> FMU2Slave:
             f"{description.path}: {error} (needed: a binary for {fmpy.platform})"
         ) from error
     multiprocessing.util.Finalize(None, fmpy.freeLibrary, (slave.dll._handle,), exitpriority=2)
-    slave.callbacks = _callbacks(log, formatted=(folder / "resources/slavemodule.txt").exists())
+    slave.callbacks = _callbacks(log, formatted=is_python)
     slave.component = slave.fmi2Instantiate(
         name.encode(),
         1,  # fmi2CoSimulation
@@ -141,7 +142,36 @@ def load(description: Description, name: str, log: Log) -> FMU2Slave:
     return slave
 
 
+def _claim_module(folder: Path, description: Description) -> bool:
+    """Whether this is an FMU of pythonfmu; note the name of its module.
+
+    All Python FMUs of a process share one interpreter, which keeps modules by their names: of two
+    that differ, the first one loaded would be used for both.
+
+    Raises
+    ------
+    InvalidInput
+        Another FMU has brought another module of that name.
+    """
+    named = folder / "resources/slavemodule.txt"
+    if not named.exists():
+        return False
+    name = named.read_text().strip()
+    source = folder / "resources" / f"{name}.py"
+    content = source.read_bytes() if source.is_file() else b""
+    first, known = _MODULES.setdefault(name, (description.path, content))
+    if known != content:
+        raise InvalidInput(
+            f"{description.path} and {first} are Python FMUs with different modules of one name, "
+            f"'{name}.py', of which a process can load only the first; rename the module of one "
+            "and build it again"
+        )
+    return True
+
+
 _FOLDERS: dict[str, Path] = {}
+# Of Python FMUs that were loaded: the module's name, whose it was, and its source.
+_MODULES: dict[str, tuple[Path, bytes]] = {}
 # Of the instances that there are; a message that comes later has nobody to hear it.
 _LOGS: WeakValueDictionary[int, Log] = WeakValueDictionary()
 _NUMBERS = itertools.count(1)

@@ -178,6 +178,7 @@ def read_experiment(section: Section) -> Experiment:
         coupling=coupling,
         options=options,
         slave_tolerance=_optional_tolerance(section, "slave_tolerance"),
+        max_steps=_max_steps(section),
         **_output(section),
     )
 
@@ -200,6 +201,16 @@ def _check_options(section: Section, coupling: Coupling) -> None:
     if "tolerance" in table.data and "tolerance" in section.data:
         own = section.at("tolerance")
         raise table.error("tolerance", f"has no effect beside {own}; leave one of them out")
+
+
+def _max_steps(section: Section) -> int | None:
+    """The steps after which a run ends, if the table says so."""
+    if "max_steps" not in section.data:
+        return None
+    steps = section.integer("max_steps")
+    if steps < 1:
+        raise section.wrong("max_steps", "a whole number of at least 1")
+    return steps
 
 
 def _output(section: Section) -> dict[str, Any]:
