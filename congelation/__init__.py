@@ -42,8 +42,8 @@ if TYPE_CHECKING:
     from congelation.export.spec import Spec
     from congelation.results.results import Results, open_results
     from congelation.scenario.load import load_scenario
-    from congelation.scenario.scenario import Scenario
     from congelation.scenario.parts import Variant
+    from congelation.scenario.scenario import Scenario
     from congelation.scenario.ssp import write_ssp as export_ssp
     from congelation.sweep.engine import run, sweep
     from congelation.verify.certify import certify

@@ -132,6 +132,12 @@ EXPERIMENT = Table(
             least=1,
         ),
         Key(
+            "max_steps",
+            "integer",
+            "the run ends after so many steps, those taken back included",
+            least=1,
+        ),
+        Key(
             "record", "texts", "variables to record; by default every number among the outputs", ()
         ),
     ),

@@ -81,7 +81,7 @@ def ls(
 ) -> None:
     """List the runs of a result directory, also while a study writes into it."""
     wanted = None if status is None else as_status(status)
-    known = (Status.COMPLETED.name, *FAILURES)
+    known = (Status.COMPLETED.name, Status.TERMINATED.name, *FAILURES)
     if wanted is not None and wanted not in known:
         raise InvalidInput(f"'{status}' is no status; valid: {', '.join(known)}")
     rows = [r for r in open_results(folder).runs.rows() if wanted in (None, r["status"])]

@@ -20,7 +20,6 @@ from congelation.cli.shared import (
     print_json,
     print_summary,
 )
-from congelation.cosim.result import Status
 from congelation.errors import CongelationError, InvalidInput
 from congelation.results.identity import code_version
 from congelation.results.record import RunRecord
@@ -252,9 +251,9 @@ def _announce(plan: Plan, workers: Workers, *, measured: bool) -> None:
 
 def _complain_of_failures(records: Iterable[RunRecord]) -> int:
     """Say how many runs failed, and how; returns how many."""
-    kinds = Counter(record.status for record in records)
-    total = kinds.total()
-    failed = total - kinds.pop(Status.COMPLETED.name, 0)
+    kept = list(records)
+    total, kinds = len(kept), Counter(record.status for record in kept if record.failed)
+    failed = kinds.total()
     if failed:
         counts = ", ".join(f"{count} {status}" for status, count in kinds.most_common())
         complain(f"{failed} of {total} runs failed ({counts})")
@@ -264,7 +263,7 @@ def _complain_of_failures(records: Iterable[RunRecord]) -> int:
 def _complaints(records: Iterable[RunRecord]) -> Iterator[str]:
     """What did not go as it should: failed runs, and runs too far from the reference."""
     for record in records:
-        if record.status != Status.COMPLETED.name:
+        if record.failed:
             yield f"{record.variant}: {record.message}"
         for variable, relative in record.deviations.items():
             if relative > LARGEST_DEVIATION:

@@ -62,6 +62,8 @@ class Experiment:
         Seconds between recorded rows, whatever the steps; else every communication point is one.
     output_every : int, optional
         Every how many communication points a row is recorded; not with an interval.
+    max_steps : int, optional
+        The run ends after so many steps, those taken back included.
 
     Raises
     ------
@@ -81,6 +83,7 @@ class Experiment:
     slave_tolerance: float | None = None
     output_interval: float | None = None
     output_every: int | None = None
+    max_steps: int | None = None
 
     def __post_init__(self) -> None:
         start, stop = self.start_time, self.stop_time
@@ -90,6 +93,8 @@ class Experiment:
             raise InvalidInput("give a communication step or a tolerance")
         if self.tolerance is not None and not 0.0 < self.tolerance < 1.0:
             raise InvalidInput(f"tolerance {self.tolerance:g} must lie between 0 and 1")
+        if self.max_steps is not None and self.max_steps < 1:
+            raise InvalidInput(f"max_steps {self.max_steps}: at least 1 is needed")
         if self.options and not isinstance(self.coupling, str):
             raise InvalidInput(
                 "options go with the name of a coupling; this one has its own already"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time as clock
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -17,6 +18,7 @@ from congelation.cosim.result import Result, RunEnded, Statistics, Status
 from congelation.cosim.stepping import Progress, Session, run_adaptive, run_fixed
 from congelation.cosim.system import System
 from congelation.errors import InvalidInput, SlaveError
+from congelation.fmi.slave import SlaveTerminated
 
 __all__ = ["perform", "simulate"]
 
@@ -36,6 +38,7 @@ def simulate(
     record: Sequence[str] | None = None,
     output: Output | Sequence[Output] | None = None,
     slave_tolerance: float | None = None,
+    max_steps: int | None = None,
     progress: Progress | None = None,
     pool: SlavePool | None = None,
 ) -> Result:
@@ -66,6 +69,8 @@ def simulate(
     slave_tolerance : float, optional
         Relative tolerance given to the FMUs (fmi2SetupExperiment). By default a tenth of
         `tolerance`, and without one that of the FMUs.
+    max_steps : int, optional
+        The run ends after so many steps, those taken back included.
     progress : callable, optional
         Called with the fraction done, from 0 to 1, about ten times a second.
     pool : SlavePool, optional
@@ -90,6 +95,7 @@ def simulate(
         coupling=coupling,
         options=options or {},
         slave_tolerance=slave_tolerance,
+        max_steps=max_steps,
     )
     return perform(system, experiment, output=output, progress=progress, pool=pool)
 
@@ -124,6 +130,7 @@ def perform(
         As in `simulate`.
     """
     begin = clock.perf_counter()
+    folder = os.getcwd()
     given = output if output is not None else experiment.output or Output()
     outputs = (given,) if isinstance(given, Output) else tuple(given)
     if not outputs or any(further.sink is None for further in outputs[1:]):
@@ -158,6 +165,7 @@ def perform(
                 experiment.start_time,
                 experiment.stop_time,
                 experiment.tolerance,
+                experiment.max_steps,
                 rows,
                 progress,
             )
@@ -165,6 +173,8 @@ def perform(
             statistics = session.statistics(clock.perf_counter() - begin)
         except SlaveError as error:
             status, message = Status.SLAVE_FAILED, str(error)
+    if os.getcwd() != folder:
+        os.chdir(folder)  # an FMU had left it, which would move what the caller writes next
     in_memory = outputs[0].sink is None
     table = memory.rows() if in_memory else recorders[0].last.reshape(-1, 1 + len(names))
     return Result(status, message, table[:, 0], names, table[:, 1:], statistics)
@@ -191,6 +201,9 @@ def _ended(session: Session, experiment: Experiment) -> tuple[Status, str]:
         except RunEnded as end:
             session.finish(completed=False)
             return end.status, end.message
+        except SlaveTerminated as end:
+            session.finish(completed=True)
+            return Status.TERMINATED, str(end)
         except SlaveError as error:
             session.finish(completed=False)
             return Status.SLAVE_FAILED, str(error)

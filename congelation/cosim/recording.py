@@ -133,7 +133,8 @@ class ParquetFile(Sink):
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = Path(path)
+        # Absolute, as an FMU may change the working directory.
+        self.path = Path(path).absolute()
         self._part = self.path.with_name(self.path.name + ".part")
 
     def open(self, columns: Sequence[str]) -> None:

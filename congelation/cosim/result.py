@@ -17,6 +17,7 @@ class Status(Enum):
     """How a run ended; each value is a sentence, and a remedy where one is needed."""
 
     COMPLETED = "The run reached its stop time."
+    TERMINATED = "An FMU ended the run before its stop time; what it says is no failure."
     SLAVE_FAILED = (
         "An FMU refused a call; correct what its message names, or shorten the communication step."
     )
@@ -35,6 +36,10 @@ class Status(Enum):
     LOOP_UNSOLVED = (
         "An algebraic loop could not be solved; give start values nearer to its solution, or "
         "break the loop with a component that has a state."
+    )
+    TOO_MANY_STEPS = (
+        "The run took max_steps steps before its stop time; allow more, loosen the tolerance, or "
+        "choose a longer communication step."
     )
     STEP_TOO_SMALL = (
         "The tolerance asks for communication steps below the resolution of time; loosen it, or "
@@ -71,6 +76,8 @@ class Statistics:
     floors : int
         Of the steps chosen by a tolerance, those whose error came from the FMUs' own integration,
         so that a shorter step did not better it.
+    warnings : int
+        Messages of status fmi2Warning that the FMUs logged.
     estimated_error : float
         Largest estimated distance of an input, while its FMU stepped, from the output that
         drives it, relative to the output's nominal value plus its size.
@@ -84,6 +91,7 @@ class Statistics:
     fmi_calls: int = 0
     events: int = 0
     floors: int = 0
+    warnings: int = 0
     estimated_error: float = 0.0
     wall_time: float = 0.0
 
@@ -118,6 +126,12 @@ class Result:
     def completed(self) -> bool:
         """Whether the run reached its stop time."""
         return self.status is Status.COMPLETED
+
+    @property
+    def whole(self) -> bool:
+        """Whether the run came to an end that is no failure: at its stop time, or where an FMU
+        ended it."""
+        return self.status in (Status.COMPLETED, Status.TERMINATED)
 
     def column(self, name: str) -> npt.NDArray[np.float64]:
         """The values of one variable, shape (N,); of a vector by its bare name, shape (N, n)."""

@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from congelation.cosim.coupling import AdaptiveStepper, Coupling, Stepper, Trial
 from congelation.cosim.ensemble import Ensemble
@@ -21,11 +20,11 @@ from congelation.cosim.exchange import Exchange
 from congelation.cosim.experiment import step_count
 from congelation.cosim.recording import Rows
 from congelation.cosim.result import RunEnded, Statistics, Status
-from congelation.fmi.slave import StepDiscarded
+from congelation.cosim.step_control import Halving, StepSize, halved, is_floor
+from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
-__all__ = ["Progress", "Session", "StepSize", "run_adaptive", "run_fixed"]
+__all__ = ["Progress", "Session", "run_adaptive", "run_fixed"]
 
-Floats = npt.NDArray[np.float64]
 Progress = Callable[[float], None]
 
 PROGRESS_PERIOD = 0.1
@@ -50,28 +49,6 @@ SMALLEST_SHARE = 1e-15
 """Of the horizon: the same near t = 0, where doubles resolve times of no meaning."""
 
 
-ORDER_HELD = 2
-"""Of the couplings with inputs held at their mean: the error of one step falls with one power
-more."""
-
-
-SHARES = 2.0
-"""Errors of steps are in part opposite, so their sum may be allowed so many tolerances."""
-
-LEAST_SHARE = 1e-2
-"""The lasting error that any step may have, as a share of the tolerance: where a solution is not
-smooth, as after a blow, steps are few and tiny, and their shares would be out of reach."""
-
-PASSING_SHARE = 0.3
-"""The error that a step may have where it does not last, as a share of the tolerance."""
-
-PROBED = 8
-"""Accepted steps from one look at how much of the error lasts to the next: it costs two passes."""
-
-FLOOR_EXPONENT = 0.25
-"""An error that falls by less than this power of the step does not come from the step."""
-
-
 class Session:
     """One run under way: what both loops share.
 
@@ -83,6 +60,7 @@ class Session:
         Seconds.
     tolerance : float or None
         For the step control.
+    max_steps : int or None
     rows : sequence of Rows
     progress : callable or None
         Called with the fraction done, about ten times a second.
@@ -106,6 +84,7 @@ class Session:
         start: float,
         stop: float,
         tolerance: float | None,
+        max_steps: int | None,
         rows: Sequence[Rows],
         progress: Progress | None,
     ) -> None:
@@ -116,6 +95,7 @@ class Session:
         self._exchange = Exchange(ensemble)
         self._coupling = coupling
         self._tolerance = tolerance
+        self._max_steps = math.inf if max_steps is None else max_steps
         # A point on a jump makes a step of another length.
         self._lands = coupling.lands_on_events and all(
             member.description.can_vary_step for member in ensemble.system.members
@@ -216,8 +196,14 @@ class Session:
         self._count(time)
 
     def _count(self, time: float) -> None:
-        self._time = time
+        length, self._time = time - self._time, time
         self.steps += 1
+        if self.steps + self.rejected >= self._max_steps and time < self.stop:
+            raise RunEnded(
+                Status.TOO_MANY_STEPS,
+                f"{self.steps} steps (and {self.rejected} taken back) reached t = {time:.9g} of "
+                f"{self.stop:.9g}; the last one was {length:.3g} s long",
+            )
         if self._progress is not None and clock.monotonic() >= self._next_report:
             self.report((time - self.start) / (self.stop - self.start))
 
@@ -245,6 +231,7 @@ class Session:
             fmi_calls=self.ensemble.calls + stepper.iterations * stepper.calls_per_iteration,
             events=self.events,
             floors=self.floors,
+            warnings=sum(slave.log.warnings for slave in self.ensemble.slaves),
             estimated_error=max(self.largest_error, stepper.largest_error()),
             wall_time=wall_time,
         )
@@ -329,7 +316,7 @@ def run_adaptive(
                     break
                 if trial is not None and stepper.halves:
                     found = halving.found
-                    if refused is not None and _is_floor(refused, end - time, found, tolerance):
+                    if refused is not None and is_floor(refused, end - time, found, tolerance):
                         # What is left comes from the FMUs, whose accuracy no step betters.
                         session.floors += 1
                         size = replace(size, length=refused[0], rejected=True)
@@ -376,11 +363,13 @@ def _tried(
     )
     try:
         if stepper.halves:
-            trial = _halved(session, stepper, state, time, end, halving)
+            trial = halved(
+                session.ensemble, session.stop - session.start, stepper, state, time, end, halving
+            )
         else:
             trial = stepper.attempt(state, time, end)
         session.ensemble.check(end)
-    except (RunEnded, StepDiscarded):
+    except (RunEnded, StepDiscarded, SlaveTerminated):
         if end - time <= smallest:
             raise
         return None, math.inf
@@ -393,176 +382,3 @@ def _tried(
             f"{session.ensemble.links[trial.worst].name}",
         )
     return trial, error
-
-
-@dataclass
-class Halving:
-    """What is remembered of steps that were made whole and in halves.
-
-    Parameters
-    ----------
-    sizes : array, shape (L,)
-        The largest that each link has been so far.
-    lasting : array, shape (L,)
-        The part of the difference of whole and halves that lasts, when it was looked at last.
-    left : int
-        Accepted steps until it is looked at again.
-    found : float
-        Error of the last step tried, the largest of all links, relative to nominal value plus size.
-    """
-
-    sizes: Floats
-    lasting: Floats
-    left: int
-    found: float = 0.0
-
-    def accepted(self, values: Floats) -> Halving:
-        """After a step that ends with these values of the links, shape (L,)."""
-        left = PROBED if self.left == 0 else self.left - 1
-        return Halving(np.maximum(self.sizes, np.abs(values)), self.lasting, left)
-
-
-def _halved(
-    session: Session,
-    stepper: AdaptiveStepper[Any],
-    state: Any,
-    time: float,
-    end: float,
-    halving: Halving,
-) -> Trial[Any]:
-    """A step made whole, and again in two halves, which are kept; the difference is its error.
-
-    With an error of c h^3 for a step of h, the halves are off by a quarter of that together, and
-    differ from the whole by three times as much (Hairer, Norsett, Wanner, Solving Ordinary
-    Differential Equations I, section II.4). It sees whatever the FMUs make of held inputs, from the
-    first step on.
-
-    Such errors last, and add up where nothing damps them: that of a step may be the share of the
-    tolerance that the step is of the horizon, or a small one if that is larger. Another part of the
-    difference is in proportion to h and passes with the step: outputs that an FMU has computed with
-    the held input rather than with its value at the end. The first half once more in halves tells
-    the two apart.
-
-    Returns
-    -------
-    Trial
-        Its error is relative to nominal value plus size, and over the share of the tolerance that
-        it may have.
-    """
-    ensemble = session.ensemble
-    middle = time + (end - time) / 2.0
-
-    def made(state: Any, start: float, stop: float) -> Trial[Any]:
-        trial = stepper.attempt(state, start, stop)
-        ensemble.check(stop)
-        return trial
-
-    def in_halves(state: Any, start: float, stop: float) -> tuple[Trial[Any], Floats]:
-        """The last trial of two, and the links' values after the first."""
-        between = start + (stop - start) / 2.0
-        first = made(state, start, between)
-        values = ensemble.Y[ensemble.source]
-        if not math.isfinite(first.error):
-            return first, values
-        ensemble.copy_discrete()
-        ensemble.level = 1
-        try:
-            ensemble.save()
-            return made(first.state, between, stop), values
-        finally:
-            ensemble.level = 0
-
-    whole = made(state, time, end)
-    at_end = ensemble.Y[ensemble.source]
-    if not math.isfinite(whole.error):
-        return whole
-    at_middle = None
-    if halving.left == 0:
-        ensemble.restore()
-        quarters, _ = in_halves(state, time, middle)
-        if math.isfinite(quarters.error):
-            at_middle = ensemble.Y[ensemble.source]
-    ensemble.restore()
-    rest, first_half = in_halves(state, time, end)
-    if not at_end.size or not math.isfinite(rest.error):
-        return rest
-    found = ensemble.Y[ensemble.source]
-    difference = found - at_end
-    if at_middle is not None:
-        # a h + b h^3 over the step, a h/2 + b h^3/8 over its half.
-        lasting = np.abs(difference - 2.0 * (at_middle - first_half)) * (4.0 / 3.0)
-        size = np.abs(difference)
-        halving.lasting = np.divide(lasting, size, out=np.ones(len(size)), where=size > lasting)
-    scale = ensemble.nominal + np.maximum(halving.sizes, np.abs(found))
-    relative = np.abs(difference) / (2.0**ORDER_HELD - 1.0) / scale
-    halving.found = float(relative.max())
-    share = max(SHARES * (end - time) / (session.stop - session.start), LEAST_SHARE)
-    allowed = np.maximum(relative * halving.lasting / share, relative / PASSING_SHARE)
-    worst = int(allowed.argmax())
-    order = ORDER_HELD + 1 if share == LEAST_SHARE else ORDER_HELD
-    return Trial(rest.state, float(allowed[worst]), order, worst)
-
-
-def _is_floor(refused: tuple[float, float], length: float, error: float, tolerance: float) -> bool:
-    """Whether a shorter step than the one refused, (length, error), has hardly less of an error,
-    and one that the run can bear."""
-    ratio = length / refused[0]
-    return (
-        error <= PASSING_SHARE * tolerance
-        and ratio <= 0.5
-        and error > refused[1] * ratio**FLOOR_EXPONENT
-    )
-
-
-SAFETY = 0.9
-LARGEST_CHANGE = 4.0
-SMALLEST_CHANGE = 0.2
-"""Bounds and margin as usual: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I,
-section II.4."""
-
-PROPORTIONAL, INTEGRAL = 0.4, 0.7
-"""Exponents of the PI controller, to be divided by the order: K. Gustafsson, M. Lundh,
-G. Soderlind, A PI stepsize control for the numerical solution of ordinary differential equations,
-BIT 28 (1988); Hairer, Wanner, Solving Ordinary Differential Equations II, section IV.2."""
-
-SMALLEST_ERROR = 1e-4
-"""Floor of the scaled error: below it the step grows by the largest change anyway."""
-
-
-@dataclass(frozen=True)
-class StepSize:
-    """The step to try, and what the step control remembers.
-
-    Parameters
-    ----------
-    length : float
-        Seconds.
-    error_before : float
-        Scaled error (1 is the tolerance) of the last accepted step.
-    rejected : bool
-        Whether the last trial was rejected; the step does not grow right after.
-    """
-
-    length: float
-    error_before: float = 1.0
-    rejected: bool = False
-
-    def accepted(self, error: float, length: float, order: int) -> StepSize:
-        """After a step of `length` with scaled error `error` <= 1, which falls with the power
-        `order` of the step."""
-        error = max(error, SMALLEST_ERROR)
-        change = SAFETY * error ** (-INTEGRAL / order) * self.error_before ** (PROPORTIONAL / order)
-        largest = 1.0 if self.rejected else LARGEST_CHANGE
-        change = min(largest, max(SMALLEST_CHANGE, change))
-        return replace(self, length=length * change, error_before=error, rejected=False)
-
-    def refused(self, error: float, length: float, order: int) -> StepSize:
-        """After a step of `length` that was taken back; `error` may be infinite."""
-        change = SMALLEST_CHANGE
-        if math.isfinite(error):
-            change = min(SAFETY, max(SMALLEST_CHANGE, SAFETY * error ** (-1.0 / order)))
-        return replace(self, length=length * change, rejected=True)
-
-    def restarted(self, length: float) -> StepSize:
-        """After a jump: what was before says nothing."""
-        return replace(self, length=length, error_before=1.0, rejected=False)

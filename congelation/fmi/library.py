@@ -22,10 +22,10 @@ from congelation.errors import InvalidInput
 from congelation.fmi.archive import unpack_archive
 from congelation.fmi.description import Description
 
-__all__ = ["ERROR", "Log", "Message", "load", "unpack"]
+__all__ = ["DISCARD", "ERROR", "FATAL", "WARNING", "Log", "Message", "load", "unpack"]
 
-ERROR = 3
-"""fmi2Error; fmi2Fatal is above it."""
+WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
+"""Of fmi2Status."""
 
 KEPT_MESSAGES = 200
 """Messages kept per instance: enough to explain a failure, bounded in a long run."""
@@ -47,14 +47,26 @@ class Message:
 
 @dataclass
 class Log:
-    """The messages of one instance; `error` is the last one of status fmi2Error or worse."""
+    """The messages of one instance.
+
+    Attributes
+    ----------
+    error : Message or None
+        The last one of status fmi2Error or worse.
+    warnings, refusals : int
+        How many there were of status fmi2Warning, and of fmi2Discard or worse.
+    """
 
     messages: deque[Message] = field(default_factory=lambda: deque(maxlen=KEPT_MESSAGES))
     error: Message | None = None
+    warnings: int = 0
+    refusals: int = 0
 
     def add(self, message: Message) -> None:
         """Keep a message."""
         self.messages.append(message)
+        self.warnings += message.status == WARNING
+        self.refusals += DISCARD <= message.status <= FATAL
         if message.status >= ERROR:
             self.error = message
 
@@ -62,6 +74,7 @@ class Log:
         """Forget everything."""
         self.messages.clear()
         self.error = None
+        self.warnings = self.refusals = 0
 
 
 def unpack(description: Description) -> Path:
@@ -101,6 +114,7 @@ def load(description: Description, name: str, log: Log) -> FMU2Slave:
         No binary for this platform, or one that cannot be loaded.
     """
     folder = unpack(description)
+    is_python = _claim_module(folder, description)
     try:
         slave = FMU2Slave(
             guid=description.guid,
@@ -113,7 +127,7 @@ def load(description: Description, name: str, log: Log) -> FMU2Slave:
             f"{description.path}: {error} (needed: a binary for {fmpy.platform})"
         ) from error
     multiprocessing.util.Finalize(None, fmpy.freeLibrary, (slave.dll._handle,), exitpriority=2)
-    slave.callbacks = _callbacks(log, formatted=(folder / "resources/slavemodule.txt").exists())
+    slave.callbacks = _callbacks(log, formatted=is_python)
     slave.component = slave.fmi2Instantiate(
         name.encode(),
         1,  # fmi2CoSimulation
@@ -126,7 +140,36 @@ def load(description: Description, name: str, log: Log) -> FMU2Slave:
     return slave
 
 
+def _claim_module(folder: Path, description: Description) -> bool:
+    """Whether this is an FMU of pythonfmu; note the name of its module.
+
+    All Python FMUs of a process share one interpreter, which keeps modules by their names: of two
+    that differ, the first one loaded would be used for both.
+
+    Raises
+    ------
+    InvalidInput
+        Another FMU has brought another module of that name.
+    """
+    named = folder / "resources/slavemodule.txt"
+    if not named.exists():
+        return False
+    name = named.read_text().strip()
+    source = folder / "resources" / f"{name}.py"
+    content = source.read_bytes() if source.is_file() else b""
+    first, known = _MODULES.setdefault(name, (description.path, content))
+    if known != content:
+        raise InvalidInput(
+            f"{description.path} and {first} are Python FMUs with different modules of one name, "
+            f"'{name}.py', of which a process can load only the first; rename the module of one "
+            "and build it again"
+        )
+    return True
+
+
 _FOLDERS: dict[str, Path] = {}
+# Of Python FMUs that were loaded: the module's name, whose it was, and its source.
+_MODULES: dict[str, tuple[Path, bytes]] = {}
 # Of the instances that there are; a message that comes later has nobody to hear it.
 _LOGS: WeakValueDictionary[int, Log] = WeakValueDictionary()
 _NUMBERS = itertools.count(1)

@@ -17,13 +17,15 @@ import numpy.typing as npt
 
 from congelation.errors import SlaveError
 from congelation.fmi.description import Description, Variable
-from congelation.fmi.library import Log, load
+from congelation.fmi.library import DISCARD, FATAL, WARNING, Log, load
 from congelation.fmi.start import StartValue
 
-__all__ = ["Slave", "State", "StepDiscarded"]
+__all__ = ["Slave", "SlaveTerminated", "State", "StepDiscarded"]
 
-WARNING, DISCARD, FATAL = 1, 2, 4
 STATUS_NAMES = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal", "fmi2Pending")
+
+TERMINATED_KIND = 3
+"""fmi2Terminated, of fmi2StatusKind."""
 
 Floats = npt.NDArray[np.float64]
 State = ctypes.c_void_p
@@ -32,6 +34,10 @@ State = ctypes.c_void_p
 
 class StepDiscarded(SlaveError):
     """The FMU could not make a step of this length; a shorter one may do."""
+
+
+class SlaveTerminated(Exception):
+    """The FMU ended the simulation run of its own accord: fmi2Discard with fmi2Terminated."""
 
 
 class Slave:
@@ -212,13 +218,33 @@ class Slave:
         ------
         StepDiscarded
             The FMU returned fmi2Discard.
+        SlaveTerminated
+            It returned fmi2Discard and ended the run.
         SlaveError
             It returned fmi2Error or worse.
         """
         self.time = time
+        refusals = self.log.refusals
         status = self._do_step(self._component, time, length, no_return)
+        if status == DISCARD and self.log.refusals == refusals:
+            self._end_if_terminated()
         if status > WARNING:
             self._fail("fmi2DoStep", status)
+
+    def _end_if_terminated(self) -> None:
+        """After fmi2Discard: ask whether the FMU wants no further step (FMI 2.0, 4.2.3).
+
+        Only where it logged no refusal: pythonfmu answers yes after every discarded step.
+        """
+        error = self.log.error
+        terminated = ctypes.c_int(0)
+        status = self._function("fmi2GetBooleanStatus")(
+            self._component, TERMINATED_KIND, ctypes.byref(terminated)
+        )
+        self.log.error = error  # that of the step, not of an FMU that cannot answer
+        if status <= WARNING and terminated.value:
+            reason = self._reason("it gave no reason")
+            raise SlaveTerminated(f"{self.name} at t = {self.time:.9g} ended the run: {reason}")
 
     def save(self) -> State:
         """fmi2GetFMUstate."""

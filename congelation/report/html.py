@@ -9,7 +9,6 @@ from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from congelation.cosim.result import Status
 from congelation.report.summary import Summary, metric_definitions, summarise
 from congelation.results.record import Study
 from congelation.results.results import Results
@@ -59,7 +58,7 @@ def _page(study: Study, figures: Sequence[tuple[str, bytes]]) -> Iterator[str]:
     yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
     yield f"<title>{title}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>"
     for run in study.records:
-        if run.status != Status.COMPLETED.name:
+        if run.failed:
             yield f'<p class="failed">{escape(run.variant)}: {escape(run.message)}</p>'
     yield "<h2>Summary</h2>"
     yield from _table(summarise(study))

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from congelation.cosim.result import Status
+
 __all__ = ["GROUPS", "RunRecord", "Study", "Trajectory"]
 
 Scalar = bool | int | float | str
@@ -60,8 +62,8 @@ class RunRecord:
         As in `congelation.cosim.result.Statistics`.
     wall_time : float, optional
         Seconds.
-    warnings : str, optional
-        Warnings of the FMUs, one a line.
+    warnings : int, optional
+        Messages of status fmi2Warning that the FMUs logged.
     worst_margin : float, optional
         Largest relative margin of the Lyapunov certificate; positive where it fails.
     trust_error : float, optional
@@ -90,7 +92,7 @@ class RunRecord:
     iterations: int | None = None
     estimated_error: float | None = None
     wall_time: float | None = None
-    warnings: str | None = None
+    warnings: int | None = None
     worst_margin: float | None = None
     trust_error: float | None = None
     trust_verdict: str | None = None
@@ -98,6 +100,11 @@ class RunRecord:
     seed: int | None = None
     code_version: str = ""
     numerics_version: int = 0
+
+    @property
+    def failed(self) -> bool:
+        """Whether the run ended otherwise than at its stop time or by an FMU's own end."""
+        return self.status not in (Status.COMPLETED.name, Status.TERMINATED.name)
 
     def row(self) -> dict[str, Any]:
         """The record by column."""

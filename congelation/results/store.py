@@ -51,6 +51,7 @@ _TYPED = {
     "steps": "INTEGER",
     "rejected_steps": "INTEGER",
     "iterations": "INTEGER",
+    "warnings": "INTEGER",
     "estimated_error": "REAL",
     "wall_time": "REAL",
     "worst_margin": "REAL",

@@ -16,7 +16,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
@@ -290,7 +289,7 @@ class _Engine:
     def _end(self, task: Task, record: RunRecord) -> None:
         self._records.append(record)
         self._done += 1
-        self._failed += record.status != Status.COMPLETED.name
+        self._failed += record.failed
         if record.status == REFUSED:
             count, first = self.refused
             self.refused = (count + 1, first or f"{task.variant}: {record.message}")

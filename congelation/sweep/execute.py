@@ -110,6 +110,7 @@ class Outcome:
     iterations: int | None = None
     estimated_error: float | None = None
     wall_time: float | None = None
+    warnings: int | None = None
     worst_margin: float | None = None
 
 
@@ -188,7 +189,7 @@ def _simulated(
         pool=pool,
     )
     kept = Trajectory(result.time, result.names, result.values, _units(case, result.names))
-    if not result.completed:  # a metric of half a run would pass for one of a whole run
+    if not result.whole:  # a metric of half a run would pass for one of a whole run
         return _outcome(result), kept
     measured_case = replace(case, experiment=experiment)
     metrics = measure(scenario.metrics, measured_case, points.with_rows(kept) if apart else kept)
@@ -212,6 +213,7 @@ def _outcome(result: Result) -> Outcome:
         iterations=cost.iterations,
         estimated_error=cost.estimated_error,
         wall_time=cost.wall_time,
+        warnings=cost.warnings,
     )
 
 

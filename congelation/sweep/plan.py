@@ -39,7 +39,7 @@ from congelation.sweep.execute import ERROR, REFUSED, TIMED_OUT, WORKER_DIED, Jo
 __all__ = ["FAILURES", "Plan", "plan_study", "varied_settings"]
 
 FAILURES = (
-    *(status.name for status in Status if status is not Status.COMPLETED),
+    *(status.name for status in Status if status not in (Status.COMPLETED, Status.TERMINATED)),
     REFUSED,
     ERROR,
     TIMED_OUT,

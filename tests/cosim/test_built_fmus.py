@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from congelation.cosim import SlavePool, simulate, stepping
-from congelation.cosim.stepping import StepSize
+from congelation.cosim.step_control import StepSize
 from congelation.scenario.load import load_scenario
 from congelation.verify.reference import reference
 from tests.scenarios import ROOT

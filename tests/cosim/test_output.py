@@ -1,5 +1,7 @@
 """Which rows are kept, and where."""
 
+from pathlib import Path
+
 import numpy as np
 import pyarrow.parquet
 import pytest
@@ -206,3 +208,14 @@ def test_a_file_that_cannot_be_written_is_refused(loop, tmp_path, name):
     sink = ParquetFile(tmp_path / name)
     with pytest.raises(InvalidInput, match="cannot be written"):
         simulate(loop(), stop_time=1.0, step=0.1, output=Output(sink=sink))
+
+
+def test_an_fmu_that_changes_the_working_directory_moves_no_results(fmus, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    system = System((Component("w", fmus / "TestWanderer.fmu"),))
+    result = simulate(
+        system, stop_time=1.0, step=0.25, output=Output(sink=ParquetFile("rows.parquet"))
+    )
+    assert result.completed, result.message
+    assert Path.cwd() == tmp_path
+    assert len(pyarrow.parquet.read_table(tmp_path / "rows.parquet")) == 5

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from congelation.cosim import Component, Connection, SlavePool, System, simulate
+from congelation.cosim import Component, Connection, SlavePool, Status, System, simulate
 
 from .c_fmus import plain_fmu
 from .monolithic import order
@@ -199,3 +199,23 @@ def test_a_completed_run_is_terminated_and_an_instance_reset_only_for_the_next(
         assert simulate(system, stop_time=1.0, step=0.5, pool=pool).completed
         assert notes.read_text() == "TR"
     assert notes.read_text() == "TRT"
+
+
+@pytest.mark.parametrize(
+    "kwargs",
+    [
+        {"step": 0.25, "coupling": "jacobi"},
+        {"step": 0.25, "coupling": "derivative"},
+        {"tolerance": 1e-3, "coupling": "hermite", "step": 0.25},
+    ],
+)
+def test_an_fmu_may_end_the_run(fmus, kwargs):
+    system = System((Component("a", fmus[0], {"a": -1.0, "x0": 1.0, "ends": 0.6}),))
+    result = simulate(system, stop_time=1.0, record=["a.y"], **kwargs)
+    assert result.status is Status.TERMINATED
+    assert result.message.startswith("a at t = 0.")
+    assert result.message.endswith("ended the run: it gave no reason")
+    assert 0.5 <= result.time[-1] <= 0.6
+    assert result.values[-1, 0] == pytest.approx(np.exp(-result.time[-1]), rel=1e-12)
+    assert result.whole
+    assert not result.completed

@@ -139,6 +139,16 @@ def test_the_order_of_discrete_connections_does_not_matter(fmus, coupling):
     assert one.values.tolist() == two.values.tolist() == rows
 
 
+@pytest.mark.parametrize("kwargs", [{"step": 0.01}, {"tolerance": 1e-6, "coupling": "hermite"}])
+def test_max_steps_ends_a_run(loop, kwargs):
+    result = simulate(loop(), stop_time=10.0, max_steps=7, **kwargs)
+    assert result.status is Status.TOO_MANY_STEPS
+    assert len(result.time) == 8 - result.statistics.rejected
+    assert f"reached t = {result.time[-1]:.9g} of 10" in result.message
+    enough = simulate(loop(), stop_time=0.07, step=0.01, max_steps=7)
+    assert enough.completed
+
+
 @pytest.mark.parametrize("coupling", FIXED)
 def test_a_failing_fmu_ends_the_run_and_keeps_its_rows(fmus, coupling):
     system = System((Component("f", fmus / "TestFaulty.fmu", {"mode": 1.0, "at": 0.5}),))
@@ -256,6 +266,7 @@ def test_progress_goes_from_the_start_to_one(loop):
             {"stop_time": 1.0, "step": 0.1, "coupling": Sampled(1e-300)},
             "sample_time 1e-300 is too small",
         ),
+        ({"stop_time": 1.0, "step": 0.1, "max_steps": 0}, "max_steps 0: at least 1"),
         ({"stop_time": 1.0, "tolerance": 0.0}, "must lie between 0 and 1"),
         ({"stop_time": 1.0, "step": 0.1, "coupling": "jakobi"}, "did you mean 'jacobi'"),
         (

@@ -1,11 +1,13 @@
 """One FMU instance: states, resets, failures, messages."""
 
+import zipfile
+
 import numpy as np
 import pytest
 
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.system import Component, System
-from congelation.errors import SlaveError
+from congelation.errors import InvalidInput, SlaveError
 from congelation.fmi.description import describe
 from congelation.fmi.library import unpack
 from congelation.fmi.slave import Slave, StepDiscarded
@@ -151,3 +153,18 @@ def test_the_pool_reuses_instances_and_drops_broken_ones(fmus):
             assert third is not first
             assert third.usable
     assert not third.usable
+
+
+def test_two_python_fmus_with_one_module_name_are_told_apart(fmus, tmp_path):
+    """The second one doubles k u; loaded after the first, it would run the first one's code."""
+    other = tmp_path / "Other.fmu"
+    with zipfile.ZipFile(fmus / "TestGain.fmu") as archive, zipfile.ZipFile(other, "w") as copy:
+        for name in archive.namelist():
+            data = archive.read(name)
+            if name.endswith("cosim_test_gain.py"):
+                data = data.replace(b"k * u", b"2 * k * u")
+            copy.writestr(name, data)
+    with ready(fmus, "TestGain"), pytest.raises(InvalidInput) as caught:
+        Slave("other", describe(other))
+    assert "Other.fmu and" in str(caught.value)
+    assert "'cosim_test_gain.py'" in str(caught.value)

@@ -48,7 +48,7 @@ def session(loop):
                     slopes=False,
                     events=coupling.lands_on_events,
                 )
-                made = Session(ensemble, coupling, 0.0, 1.0, tolerance, (), None)
+                made = Session(ensemble, coupling, 0.0, 1.0, tolerance, None, (), None)
                 return made, made.initialise(None)
 
             yield make

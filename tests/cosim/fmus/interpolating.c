@@ -129,4 +129,8 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state) {
 
 fmi2Status fmi2Terminate(fmi2Component c) { return fmi2OK; }
 
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
+    return fmi2Discard;
+}
+
 #include "rest.h"

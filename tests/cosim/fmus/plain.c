@@ -1,6 +1,7 @@
 /* x' = a x + b1 u1 + b2 u2, y = x + d1 u1 + d2 u2: an FMU as most tools write them. It can save its
    state, holds its inputs over a step, which it solves exactly, and knows no derivatives. With
-   `grain` its outputs are rounded to multiples of that, as an inaccurate solver inside would do. */
+   `grain` its outputs are rounded to multiples of that, as an inaccurate solver inside would do; at the
+   time `ends` it ends the run. */
 
 #include <math.h>
 #include <stdio.h>
@@ -9,7 +10,7 @@
 
 #include "fmi2Functions.h"
 
-enum { U1, U2, Y, A, B1, B2, D1, D2, X0, GRAIN, COUNT };
+enum { U1, U2, Y, A, B1, B2, D1, D2, X0, GRAIN, ENDS, COUNT };
 
 typedef struct {
     double v[COUNT], x;
@@ -53,6 +54,7 @@ fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n,
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     Model *m = c;
+    if (m->v[ENDS] > 0 && t + h > m->v[ENDS]) return fmi2Discard;
     double a = m->v[A], b = m->v[B1] * m->v[U1] + m->v[B2] * m->v[U2];
     m->x = exp(a * h) * m->x + (a == 0 ? h : expm1(a * h) / a) * b;
     return fmi2OK;
@@ -83,6 +85,11 @@ fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference r[], size_t n,
                                         const fmi2Integer order[], fmi2Real value[]) {
     return fmi2Error;
+}
+
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value) {
+    *value = kind == fmi2Terminated && ((Model *)c)->v[ENDS] > 0;
+    return fmi2OK;
 }
 
 /* In the file that the environment names: "T" for each run that was terminated, "R" for each reset. */

@@ -22,5 +22,4 @@ UNUSED(fmi2GetDirectionalDerivative, const fmi2ValueReference a[], size_t n,
 UNUSED(fmi2GetStatus, const fmi2StatusKind k, fmi2Status *v)
 UNUSED(fmi2GetRealStatus, const fmi2StatusKind k, fmi2Real *v)
 UNUSED(fmi2GetIntegerStatus, const fmi2StatusKind k, fmi2Integer *v)
-UNUSED(fmi2GetBooleanStatus, const fmi2StatusKind k, fmi2Boolean *v)
 UNUSED(fmi2GetStringStatus, const fmi2StatusKind k, fmi2String *v)

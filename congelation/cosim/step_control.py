@@ -1,0 +1,211 @@
+"""Step control: the error of a step by halving it, and the length of the next one."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.cosim.coupling import AdaptiveStepper, Trial
+from congelation.cosim.ensemble import Ensemble
+
+__all__ = ["Halving", "StepSize", "halved", "is_floor"]
+
+Floats = npt.NDArray[np.float64]
+
+ORDER_HELD = 2
+"""Of the couplings with inputs held at their mean: the error of one step falls with one power
+more."""
+
+
+SHARES = 2.0
+"""Errors of steps are in part opposite, so their sum may be allowed so many tolerances."""
+
+LEAST_SHARE = 1e-2
+"""The lasting error that any step may have, as a share of the tolerance: where a solution is not
+smooth, as after a blow, steps are few and tiny, and their shares would be out of reach."""
+
+PASSING_SHARE = 0.3
+"""The error that a step may have where it does not last, as a share of the tolerance."""
+
+PROBED = 8
+"""Accepted steps from one look at how much of the error lasts to the next: it costs two passes."""
+
+FLOOR_EXPONENT = 0.25
+"""An error that falls by less than this power of the step does not come from the step."""
+
+
+@dataclass
+class Halving:
+    """What is remembered of steps that were made whole and in halves.
+
+    Parameters
+    ----------
+    sizes : array, shape (L,)
+        The largest that each link has been so far.
+    lasting : array, shape (L,)
+        The part of the difference of whole and halves that lasts, when it was looked at last.
+    left : int
+        Accepted steps until it is looked at again.
+    found : float
+        Error of the last step tried, the largest of all links, relative to nominal value plus size.
+    """
+
+    sizes: Floats
+    lasting: Floats
+    left: int
+    found: float = 0.0
+
+    def accepted(self, values: Floats) -> Halving:
+        """After a step that ends with these values of the links, shape (L,)."""
+        left = PROBED if self.left == 0 else self.left - 1
+        return Halving(np.maximum(self.sizes, np.abs(values)), self.lasting, left)
+
+
+def halved(
+    ensemble: Ensemble,
+    horizon: float,
+    stepper: AdaptiveStepper[Any],
+    state: Any,
+    time: float,
+    end: float,
+    halving: Halving,
+) -> Trial[Any]:
+    """A step made whole, and again in two halves, which are kept; the difference is its error.
+
+    With an error of c h^3 for a step of h, the halves are off by a quarter of that together, and
+    differ from the whole by three times as much (Hairer, Norsett, Wanner, Solving Ordinary
+    Differential Equations I, section II.4). It sees whatever the FMUs make of held inputs, from the
+    first step on.
+
+    Such errors last, and add up where nothing damps them: that of a step may be the share of the
+    tolerance that the step is of the horizon, or a small one if that is larger. Another part of the
+    difference is in proportion to h and passes with the step: outputs that an FMU has computed with
+    the held input rather than with its value at the end. The first half once more in halves tells
+    the two apart.
+
+    Returns
+    -------
+    Trial
+        Its error is relative to nominal value plus size, and over the share of the tolerance that
+        it may have.
+    """
+    middle = time + (end - time) / 2.0
+
+    def made(state: Any, start: float, stop: float) -> Trial[Any]:
+        trial = stepper.attempt(state, start, stop)
+        ensemble.check(stop)
+        return trial
+
+    def in_halves(state: Any, start: float, stop: float) -> tuple[Trial[Any], Floats]:
+        """The last trial of two, and the links' values after the first."""
+        between = start + (stop - start) / 2.0
+        first = made(state, start, between)
+        values = ensemble.Y[ensemble.source]
+        if not math.isfinite(first.error):
+            return first, values
+        ensemble.copy_discrete()
+        ensemble.level = 1
+        try:
+            ensemble.save()
+            return made(first.state, between, stop), values
+        finally:
+            ensemble.level = 0
+
+    whole = made(state, time, end)
+    at_end = ensemble.Y[ensemble.source]
+    if not math.isfinite(whole.error):
+        return whole
+    at_middle = None
+    if halving.left == 0:
+        ensemble.restore()
+        quarters, _ = in_halves(state, time, middle)
+        if math.isfinite(quarters.error):
+            at_middle = ensemble.Y[ensemble.source]
+    ensemble.restore()
+    rest, first_half = in_halves(state, time, end)
+    if not at_end.size or not math.isfinite(rest.error):
+        return rest
+    found = ensemble.Y[ensemble.source]
+    difference = found - at_end
+    if at_middle is not None:
+        # a h + b h^3 over the step, a h/2 + b h^3/8 over its half.
+        lasting = np.abs(difference - 2.0 * (at_middle - first_half)) * (4.0 / 3.0)
+        size = np.abs(difference)
+        halving.lasting = np.divide(lasting, size, out=np.ones(len(size)), where=size > lasting)
+    scale = ensemble.nominal + np.maximum(halving.sizes, np.abs(found))
+    relative = np.abs(difference) / (2.0**ORDER_HELD - 1.0) / scale
+    halving.found = float(relative.max())
+    share = max(SHARES * (end - time) / horizon, LEAST_SHARE)
+    allowed = np.maximum(relative * halving.lasting / share, relative / PASSING_SHARE)
+    worst = int(allowed.argmax())
+    order = ORDER_HELD + 1 if share == LEAST_SHARE else ORDER_HELD
+    return Trial(rest.state, float(allowed[worst]), order, worst)
+
+
+def is_floor(refused: tuple[float, float], length: float, error: float, tolerance: float) -> bool:
+    """Whether a shorter step than the one refused, (length, error), has hardly less of an error,
+    and one that the run can bear."""
+    ratio = length / refused[0]
+    return (
+        error <= PASSING_SHARE * tolerance
+        and ratio <= 0.5
+        and error > refused[1] * ratio**FLOOR_EXPONENT
+    )
+
+
+SAFETY = 0.9
+LARGEST_CHANGE = 4.0
+SMALLEST_CHANGE = 0.2
+"""Bounds and margin as usual: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I,
+section II.4."""
+
+PROPORTIONAL, INTEGRAL = 0.4, 0.7
+"""Exponents of the PI controller, to be divided by the order: K. Gustafsson, M. Lundh,
+G. Soderlind, A PI stepsize control for the numerical solution of ordinary differential equations,
+BIT 28 (1988); Hairer, Wanner, Solving Ordinary Differential Equations II, section IV.2."""
+
+SMALLEST_ERROR = 1e-4
+"""Floor of the scaled error: below it the step grows by the largest change anyway."""
+
+
+@dataclass(frozen=True)
+class StepSize:
+    """The step to try, and what the step control remembers.
+
+    Parameters
+    ----------
+    length : float
+        Seconds.
+    error_before : float
+        Scaled error (1 is the tolerance) of the last accepted step.
+    rejected : bool
+        Whether the last trial was rejected; the step does not grow right after.
+    """
+
+    length: float
+    error_before: float = 1.0
+    rejected: bool = False
+
+    def accepted(self, error: float, length: float, order: int) -> StepSize:
+        """After a step of `length` with scaled error `error` <= 1, which falls with the power
+        `order` of the step."""
+        error = max(error, SMALLEST_ERROR)
+        change = SAFETY * error ** (-INTEGRAL / order) * self.error_before ** (PROPORTIONAL / order)
+        largest = 1.0 if self.rejected else LARGEST_CHANGE
+        change = min(largest, max(SMALLEST_CHANGE, change))
+        return replace(self, length=length * change, error_before=error, rejected=False)
+
+    def refused(self, error: float, length: float, order: int) -> StepSize:
+        """After a step of `length` that was taken back; `error` may be infinite."""
+        change = SMALLEST_CHANGE
+        if math.isfinite(error):
+            change = min(SAFETY, max(SMALLEST_CHANGE, SAFETY * error ** (-1.0 / order)))
+        return replace(self, length=length * change, rejected=True)
+
+    def restarted(self, length: float) -> StepSize:
+        """After a jump: what was before says nothing."""
+        return replace(self, length=length, error_before=1.0, rejected=False)
