@@ -352,6 +352,8 @@ class Checker:
 
     def _spawn(self, job: Job, limit: float) -> tuple[int | None, str]:
         """Run a child; its exit code, None if it had to be killed, and its last words."""
+        if self._stopped:
+            return None, ""
         root = str(Path(congelation.__file__).parents[1])
         paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
         words = Path(job.scratch) / "stderr"
