@@ -11,7 +11,7 @@ from congelation.conformance.binding import Status
 from congelation.conformance.description import Variable
 from congelation.conformance.instance import Instance
 from congelation.conformance.probe import read, shifted
-from congelation.conformance.rule import NOT_RESTORED, Level, NotApplicable, dynamic
+from congelation.conformance.rule import NOT_RESTORED, Level, NotApplicable, Violated, dynamic
 from congelation.conformance.trajectory import demand, excite, inputs, observe, same
 
 __all__: list[str] = []
@@ -371,7 +371,10 @@ def reset_after_failure(bench: Bench) -> Iterator[str]:
         if status in (Status.DISCARD, Status.ERROR):
             failed = True
             demand(instance.reset(), f"fmi2Reset after {what} ({status})")
-            found = bench.run(bench.initialize(instance))
+            try:
+                found = bench.run(bench.initialize(instance))
+            except Violated as breach:
+                raise Violated(f"after {what} ({status}) and fmi2Reset: {breach}") from None
             yield from bench.compare(found, f"after {what} ({status}) and fmi2Reset")
         if status != Status.FATAL:
             instance.free()
