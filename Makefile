@@ -5,11 +5,12 @@ PYTHON ?= python3
 BIN := .venv/bin
 SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html') build_fmu.py
 
-.PHONY: help demo test check format bench corpus fmus lock clean
+.PHONY: help demo test fuzz check format bench corpus fmus lock clean
 
 help:
 	@echo "make demo    Figs. 1-3 of the paper from FMUs, and a report of where they are"
 	@echo "make test    the whole test suite"
+	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each"
 	@echo "make check   format, lint, types, import layers"
 	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
 	@echo "make corpus  check the public FMUs in the folder CORPUS=.. (docs/conformance.md)"
@@ -49,6 +50,9 @@ demo: fmus
 
 test: fmus .venv-cofmupy/installed
 	$(BIN)/python -m pytest
+
+fuzz: fmus
+	$(BIN)/python -m pytest -m fuzz --hypothesis-profile=fuzz
 
 check: .venv/installed
 	$(BIN)/ruff format --check .

@@ -16,7 +16,7 @@ try:
     from congelation.export.manifest import update_manifest
     from congelation.export.package import build
     from congelation.export.spec import Spec, read_spec
-    from congelation.export.validation import validate
+    from congelation.fmi.validation import validate
     from congelation.places import check_folder
 except ModuleNotFoundError as missing:
     sys.exit(

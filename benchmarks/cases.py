@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.loop import Component, Loop, variables
-from congelation.study.scenario import Case
-from congelation.study.scenario_file import load_scenario
+from congelation.scenario.load import load_scenario
+from congelation.scenario.scenario import Case
 
 __all__ = ["VARIANT", "Figure", "figure"]
 

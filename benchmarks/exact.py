@@ -9,8 +9,8 @@ import numpy.typing as npt
 from scipy.integrate import OdeSolution, solve_ivp
 
 from benchmarks.cases import Figure
-from congelation.study.verify import reference
 from congelation.theory.closed_loop import Segment
+from congelation.verify.reference import reference
 
 __all__ = ["Exact"]
 
@@ -23,7 +23,7 @@ TOLERANCE = 1e-13
 class Exact:
     """The loop of a figure as the theory derives it, as one differential equation.
 
-    The equations are those of `congelation.study.verify`; unlike there the solution is kept as
+    The equations are those of `congelation.verify.reference`; unlike there the solution is kept as
     polynomials, since hundreds of runs are compared with it.
 
     Parameters

@@ -15,7 +15,7 @@ from fmpy import extract, read_model_description
 from fmpy.fmi2 import FMU2Slave
 from scipy.interpolate import PchipInterpolator
 
-from congelation.study.scenario import Case, Scenario
+from congelation.scenario.scenario import Case, Scenario
 
 __all__ = ["sweep"]
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, ParamSpec, TypeVar, final
 
-from congelation.study.executors import Crew, Workers
+from congelation.sweep.executors import Crew, Workers
 
 __all__ = ["PHASES", "STEPPING", "TimedWorkers", "Timers", "read_runs"]
 
@@ -21,18 +21,18 @@ T = TypeVar("T")
 
 STEPPING = "the stepping loop"
 
-RUN = ("congelation.study.workers", "Worker.do", "everything else")
+RUN = ("congelation.sweep.workers", "Worker.do", "everything else")
 PHASES = (
     ("congelation.cosim.master", "run_fixed", STEPPING),
     ("congelation.cosim.master", "run_adaptive", STEPPING),
     ("congelation.cosim.rows", "EveryStep.point", "recording rows"),
-    ("congelation.study.workers", "plan_run", "planning the run"),
+    ("congelation.sweep.workers", "plan_run", "planning the run"),
     ("congelation.cosim.system", "System.resolve", "finding names, checking start values"),
-    ("congelation.cosim.slave", "Slave.__init__", "instantiating the FMUs"),
-    ("congelation.cosim.slave", "Slave.reset", "resetting the FMUs"),
+    ("congelation.fmi.slave", "Slave.__init__", "instantiating the FMUs"),
+    ("congelation.fmi.slave", "Slave.reset", "resetting the FMUs"),
     ("congelation.cosim.session", "Session.initialise", "initialising the FMUs"),
-    ("congelation.study.execute", "measure", "metrics"),
-    ("congelation.study.store", "Store.write", "writing the row"),
+    ("congelation.sweep.execute", "measure", "metrics"),
+    ("congelation.results.store", "Store.write", "writing the row"),
     RUN,
 )
 """(module, function or method, what it does); time in one is not counted in the one around it."""

@@ -19,12 +19,12 @@ from time import perf_counter, process_time
 from typing import Any
 
 from benchmarks.phases import TimedWorkers, Timers, read_runs
-from congelation.study.batch import Tally, run_sweep
-from congelation.study.executors import Processes, Workers
-from congelation.study.scenario import Scenario
-from congelation.study.scenario_file import load_scenario
-from congelation.study.sweep import RandomAxis, Sweep
-from congelation.study.sweep_plan import plan_sweep
+from congelation.scenario.axes import RandomAxis, Sweep
+from congelation.scenario.load import load_scenario
+from congelation.scenario.scenario import Scenario
+from congelation.sweep.batch import Tally, run_sweep
+from congelation.sweep.executors import Processes, Workers
+from congelation.sweep.sweep_plan import plan_sweep
 
 __all__ = ["FRESH", "SWEEP", "Cost", "Job", "do", "elsewhere", "measured", "resident"]
 
@@ -166,7 +166,7 @@ def do(job: Job, folder: Path) -> dict[str, Any]:
     plan = plan_sweep(job.scenario(), folder / RESULTS, resume=False)
     planned = perf_counter()
     timers = Timers()
-    timers.install("congelation.study.batch", "write_index", "index")
+    timers.install("congelation.sweep.batch", "write_index", "index")
     watch = _Watch(job.marks)
     run_sweep(plan, workers=_workers(job, folder), progress=watch)
     return {

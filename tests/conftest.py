@@ -1,4 +1,8 @@
-"""Settings shared by all tests: property-based tests draw the same examples in every run."""
+"""Settings shared by all tests.
+
+Property-based tests draw the same examples in every run of `make test`, and fresh ones, more of
+them, in `make fuzz`, which runs the tests marked ``fuzz``. Such a test sets no number of examples.
+"""
 
 import os
 import sys
@@ -10,7 +14,8 @@ from hypothesis import settings
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, print_blob=True)
-settings.load_profile("repeatable")
+settings.register_profile("fuzz", max_examples=1000, deadline=None, print_blob=True)
+settings.load_profile("repeatable")  # --hypothesis-profile=fuzz takes its place
 
 
 _STATUS = pytest.StashKey[int]()

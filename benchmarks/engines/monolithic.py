@@ -21,8 +21,8 @@ from benchmarks.cases import figure
 from benchmarks.engines.base import Program, Run
 from benchmarks.loop import Loop
 from benchmarks.timing import Stopwatch
-from congelation.study.verify import Reference, reference
 from congelation.theory.model import Model
+from congelation.verify.reference import Reference, reference
 
 __all__ = ["Monolithic"]
 

@@ -17,7 +17,7 @@ from congelation.cli.runs import export_ssp, run, sweep
 from congelation.cli.shared import BAD_INPUT, FAILED, complain
 from congelation.conformance.command import check
 from congelation.errors import CongelationError, InvalidInput
-from congelation.study.identity import code_version
+from congelation.results.identity import code_version
 
 __all__ = ["app", "main"]
 

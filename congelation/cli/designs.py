@@ -8,8 +8,8 @@ from typing import Annotated
 import typer
 
 from congelation.cli.shared import FAILED, complain, print_table
-from congelation.study.certify import Certification, designs_of
-from congelation.study.certify import certify as search
+from congelation.verify.certify import Certification, designs_of
+from congelation.verify.certify import certify as search
 
 __all__ = ["certify"]
 

@@ -12,8 +12,8 @@ from enum import StrEnum
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from congelation.study.batch import Tally
-from congelation.study.sweep_plan import Plan
+from congelation.sweep.batch import Tally
+from congelation.sweep.sweep_plan import Plan
 
 __all__ = ["Form", "shown"]
 

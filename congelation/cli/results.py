@@ -18,9 +18,9 @@ from congelation.report.html import write_html
 from congelation.report.pareto import draw_front, pareto_front
 from congelation.report.summary import number, summarise_groups
 from congelation.report.table import aligned
-from congelation.study.records import metrics_of, settings_of
-from congelation.study.store import Store
-from congelation.study.sweep_plan import FAILURES
+from congelation.results.records import metrics_of, settings_of
+from congelation.results.store import Store
+from congelation.sweep.sweep_plan import FAILURES
 
 __all__ = ["export", "ls", "report", "show"]
 

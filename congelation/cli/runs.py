@@ -23,19 +23,19 @@ from congelation.cli.shared import (
 )
 from congelation.cosim.result import Status
 from congelation.errors import CongelationError, InvalidInput
-from congelation.study.batch import run_sweep
-from congelation.study.estimate import estimate
-from congelation.study.executors import Cluster, Processes, Workers
-from congelation.study.records import Row
-from congelation.study.run import run_scenario
-from congelation.study.scenario import Scenario
-from congelation.study.scenario_file import load_scenario
-from congelation.study.shipping import cargo_of
-from congelation.study.ssp import read_ssp, write_ssp
-from congelation.study.store import Store
-from congelation.study.sweep_plan import Plan, plan_sweep
-from congelation.study.verify import LARGEST_DEVIATION
-from congelation.study.workers import REFUSED
+from congelation.results.records import Row
+from congelation.results.store import Store
+from congelation.scenario.load import load_scenario
+from congelation.scenario.scenario import Scenario
+from congelation.scenario.ssp import read_ssp, write_ssp
+from congelation.sweep.batch import run_sweep
+from congelation.sweep.estimate import estimate
+from congelation.sweep.executors import Cluster, Processes, Workers
+from congelation.sweep.run import run_scenario
+from congelation.sweep.shipping import cargo_of
+from congelation.sweep.sweep_plan import Plan, plan_sweep
+from congelation.sweep.workers import REFUSED
+from congelation.verify.reference import LARGEST_DEVIATION
 
 __all__ = ["export_ssp", "run", "sweep"]
 

@@ -11,7 +11,7 @@ from rich.table import Table
 
 from congelation.report.figures import draw, figure_names, save
 from congelation.report.summary import summarise
-from congelation.study.store import Store
+from congelation.results.store import Store
 
 __all__ = [
     "BAD_INPUT",

@@ -7,8 +7,8 @@ import math
 from congelation.cosim.coupling import AdaptiveStepper
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session, just_before
-from congelation.cosim.slave import StepDiscarded
 from congelation.cosim.step_size import StepSize
+from congelation.fmi.slave import StepDiscarded
 
 __all__ = ["run_adaptive"]
 

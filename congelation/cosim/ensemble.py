@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from congelation.cosim.inputs import Inputs
 from congelation.cosim.outputs import NO_DERIVATIVE, Outputs
-from congelation.cosim.slave import Slave
 from congelation.cosim.system import Recorded, ResolvedSystem
+from congelation.fmi.slave import Slave
 
 __all__ = ["Ensemble"]
 

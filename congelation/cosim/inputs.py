@@ -12,8 +12,8 @@ import numpy.typing as npt
 
 from congelation.cosim.calls import chained
 from congelation.cosim.outputs import NO_DERIVATIVE, Outputs
-from congelation.cosim.slave import Slave
 from congelation.cosim.system import MAX_DERIVATIVE, Link, ResolvedSystem
+from congelation.fmi.slave import Slave
 
 __all__ = ["Inputs"]
 

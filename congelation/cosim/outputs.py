@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.calls import chained
-from congelation.cosim.description import Description, Variable
 from congelation.cosim.result import RunEnded, Status
-from congelation.cosim.slave import Slave
 from congelation.cosim.system import Recorded, ResolvedSystem, derivative_name
+from congelation.fmi.description import Description, Variable
+from congelation.fmi.slave import Slave
 
 __all__ = ["LARGEST_VALUE", "NO_DERIVATIVE", "Outputs"]
 

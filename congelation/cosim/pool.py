@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from types import TracebackType
 
-from congelation.cosim.slave import Slave
 from congelation.cosim.system import Member
 from congelation.errors import SlaveError
+from congelation.fmi.slave import Slave
 
 __all__ = ["SlavePool"]
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from congelation.cosim.slave import Slave
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import InvalidInput
+from congelation.fmi.slave import Slave
 
 __all__ = ["Checkpoint", "require_states"]
 

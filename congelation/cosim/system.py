@@ -11,9 +11,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from congelation.cosim.description import Description, Variable, describe
-from congelation.cosim.start import StartValue, resolve_start
 from congelation.errors import InvalidInput, nearest
+from congelation.fmi.description import Description, Variable, describe
+from congelation.fmi.start import StartValue, resolve_start
 
 __all__ = [
     "MAX_DERIVATIVE",

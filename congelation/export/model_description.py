@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from xml.etree import ElementTree
 
 from congelation.export.interface import Interface, ScalarVariable
-from congelation.export.units import base_unit
+from congelation.fmi.units import base_unit
 
 __all__ = ["complete"]
 

@@ -44,7 +44,7 @@ from congelation.export.defaults import check_defaults
 from congelation.export.equations import Special
 from congelation.export.forms import FORMS, Form, Structure
 from congelation.export.interface import ProfileSlots
-from congelation.export.units import base_unit
+from congelation.fmi.units import base_unit
 from congelation.signals import Profile, Slots
 from congelation.theory.model import Model
 from congelation.toml import Section, read_document

@@ -14,8 +14,8 @@ from pyarrow import csv
 from scipy.io import savemat
 
 from congelation.errors import InvalidInput
-from congelation.study.records import Trajectory
-from congelation.study.store import Store, replace_whole
+from congelation.results.records import Trajectory
+from congelation.results.store import Store, replace_whole
 
 __all__ = ["matlab_name", "write_csv", "write_mat"]
 

@@ -22,9 +22,9 @@ import numpy.typing as npt
 from congelation.cosim.result import Status
 from congelation.errors import InvalidInput, nearest
 from congelation.report.labels import math_label, with_unit
-from congelation.study.metrics import norm
-from congelation.study.records import Trajectory
-from congelation.study.store import Store, replace_whole
+from congelation.results.records import Trajectory
+from congelation.results.store import Store, replace_whole
+from congelation.scenario.metrics import norm
 
 if TYPE_CHECKING:  # Matplotlib takes half a second, which only commands that draw should wait for
     from matplotlib.axes import Axes

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from congelation.cosim.result import Status
 from congelation.report.figures import draw, figure_names
 from congelation.report.summary import Summary, metric_definitions, summarise
-from congelation.study.records import Study
-from congelation.study.store import Store, replace_whole
+from congelation.results.records import Study
+from congelation.results.store import Store, replace_whole
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,7 +11,7 @@ import numpy as np
 from congelation.errors import InvalidInput, nearest
 from congelation.report.figures import SETTINGS
 from congelation.report.labels import with_unit
-from congelation.study.records import Study
+from congelation.results.records import Study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from congelation.errors import InvalidInput, nearest
-from congelation.study.records import Study
+from congelation.results.records import Study
 
 __all__ = [
     "Summary",

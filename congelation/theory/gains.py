@@ -8,13 +8,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from fractions import Fraction
 from types import MappingProxyType
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import LinAlgError, solve_continuous_are
 
 from congelation.errors import InfeasibleDesign, InvalidInput
+from congelation.theory.riccati import (
+    Exact,
+    definite_inverse,
+    exact,
+    is_definite,
+    is_hurwitz,
+    newton,
+    stabilising,
+)
 
 __all__ = [
     "RULES",
@@ -34,12 +43,15 @@ __all__ = [
 
 Matrix = NDArray[np.float64]
 
-RESIDUAL_TOLERANCE = 1e-8
-"""Largest residual of a Riccati equation, relative to its largest term, that counts as solved."""
-
-FEASIBLE_TOLERANCE = 1e-9
+FEASIBLE_TOLERANCE = 5e-10
 """Relative width at which the bisection for a smallest feasible number stops: far below any use
-of it, far above the rounding of the Riccati solver next to the infeasible edge."""
+of it. X of (43) grows with its inverse, and so does what a rounding of X leaves of (43)."""
+
+ROUNDING = 2.0**-52
+"""Spacing of the numbers in double precision, relative to them."""
+
+SYMMETRY_TOLERANCE = 1e-12
+"""Asymmetry, relative to the largest element, that passes for rounding in a given matrix."""
 
 LARGEST_FEASIBLE = 1e12
 """Where the bisection gives up: beyond it the squares in the equation exhaust double precision."""
@@ -87,14 +99,16 @@ def iss_weight(
     """
     first = n if rho is None else rho
     varies = np.arange(1, n + 1) >= first
-    return np.diag(1.0 / epsilon_a**2 + varies / epsilon_b**2)
+    # Products, as inside the FMUs: a power may round differently, and then X differs.
+    return np.diag(1.0 / (epsilon_a * epsilon_a) + varies / (epsilon_b * epsilon_b))
 
 
 def iss_riccati(r: float, Q: ArrayLike) -> Matrix | None:
     """The positive definite, stabilising solution of (43), or None where there is none.
 
     (43) is S X + X S^T - X (e_1 e_1^T - I / r^2) X + Q = 0, the Riccati equation (44) of H-infinity
-    filtering; here it is solved as a game equation with the indefinite weight diag(1, -r^2 I).
+    filtering. It is solved as the equation of P = X^-1,
+    P S + S^T P + P Q P - e_1 e_1^T + I / r^2 = 0, which stays regular where X grows beyond bounds.
 
     Parameters
     ----------
@@ -106,18 +120,26 @@ def iss_riccati(r: float, Q: ArrayLike) -> Matrix | None:
     Returns
     -------
     X : ndarray, shape (n, n), or None
+        Each element is the exact one, rounded to double precision. So the residual of (43) is a few
+        roundings of S X, X e_1 e_1^T X, X X / r^2 or Q, whichever is largest. Next to the smallest
+        feasible r the last two nearly cancel: at r = (1 + d) times it they leave about d of either.
+
+    Raises
+    ------
+    InfeasibleDesign
+        If X > 0 exists but is not positive definite any more when rounded to double precision.
     """
-    weight = np.asarray(Q, dtype=float)
-    n = weight.shape[0]
-    S, e_1 = upper_shift(n), np.eye(n)[:, :1]
-    inputs = np.hstack([e_1, np.eye(n)])
-    indefinite = np.diag([1.0] + [-(r**2)] * n)
-    X = _riccati(S.T, inputs, weight, indefinite)
-    if X is None:
+    weight = _positive_definite(Q)
+    P = _inverse_solution(r, weight, _unbounded(weight))
+    if P is None:
         return None
-    closed = S - X @ (e_1 @ e_1.T - np.eye(n) / r**2)
-    A_f = filter_matrix(X[:, 0] / 2)
-    return X if _hurwitz(closed) and _hurwitz(A_f) else None
+    X = _solution(P)
+    if X is None:
+        raise InfeasibleDesign(
+            f"the solution X > 0 of (43) for r = {r:.9g} is too near to a singular matrix for "
+            "double precision; give a larger r, or a Q of eigenvalues closer together"
+        )
+    return X
 
 
 def smallest_feasible_r(n: int, Q: ArrayLike) -> float:
@@ -133,11 +155,39 @@ def smallest_feasible_r(n: int, Q: ArrayLike) -> float:
     Returns
     -------
     r : float
-        Feasible, and within `FEASIBLE_TOLERANCE` of an infeasible value.
+        Above the infimum of the feasible r, which itself is not feasible, by at most
+        `FEASIBLE_TOLERANCE` of it, and by enough for `iss_riccati` to find X: where double
+        precision cannot hold X so near to the infimum, by the least power of two times
+        `FEASIBLE_TOLERANCE` at which it can.
+
+    Raises
+    ------
+    InfeasibleDesign
+        If no r up to `LARGEST_FEASIBLE` is feasible in double precision.
     """
-    weight = _square(Q, n, "Q")
-    # The feasible r form a half-line: if X solves (41) for r, it solves it for every larger r.
-    return _least(lambda r: iss_riccati(r, weight) is not None)
+    weight = _positive_definite(_square(Q, n, "Q"))
+    unbounded = _unbounded(weight)
+
+    # As r falls P falls, and the feasible r end where P ceases to be positive definite or to exist.
+    def feasible(r: float) -> bool:
+        return _inverse_solution(r, weight, unbounded) is not None
+
+    def feasible_in_floats(r: float) -> bool:
+        P = _inverse_in_floats(r, weight, unbounded)
+        return P is not None and bool(np.linalg.eigvalsh(P).min() > 0)
+
+    # Floats decide fast and, as P is regular at the edge, mostly well; fractions judge the outcome.
+    edge = _least(feasible_in_floats, infeasible=1.0, width=FEASIBLE_TOLERANCE / 8)
+    low, r = edge * (1 - FEASIBLE_TOLERANCE / 2), edge * (1 + FEASIBLE_TOLERANCE / 4)
+    if feasible(low) or not feasible(r):
+        r = _least(feasible, infeasible=1.0)
+    least, margin = r, FEASIBLE_TOLERANCE
+    while r <= LARGEST_FEASIBLE:
+        P = _inverse_solution(r, weight, unbounded)
+        if P is not None and _solution(P) is not None:
+            return r
+        r, margin = least * (1 + margin), 2 * margin
+    raise _out_of_reach()
 
 
 def iss_filter_gain(r: float, epsilon: float, *, n: int) -> Matrix:
@@ -196,7 +246,7 @@ def placed_filter_gain(poles: Sequence[complex]) -> Matrix:
 def hurwitz_filter_gain(k: ArrayLike) -> Matrix:
     """`k` itself, if it makes A_f = S - k e_1^T Hurwitz, as every K-filter needs."""
     gain = np.asarray(k, dtype=float).ravel()
-    if not np.isfinite(gain).all() or not _hurwitz(filter_matrix(gain)):
+    if not np.isfinite(gain).all() or not is_hurwitz(filter_matrix(gain)):
         raise InvalidInput(
             f"k = {_listed(gain)} does not make A_f = S - k e_1^T Hurwitz; "
             "valid: the coefficients of a Hurwitz polynomial s^n + k_1 s^(n-1) + .. + k_n"
@@ -220,7 +270,9 @@ def filter_riccati(k: ArrayLike, gain: float) -> Matrix | None:
     """
     A_f = filter_matrix(k)
     identity = np.eye(A_f.shape[0])
-    return _riccati(A_f, identity, identity, -(gain**2) * identity)
+    # -P is a stabilising solution in the form with a definite quadratic term.
+    negative = stabilising(A_f, identity / gain**2, -identity)
+    return None if negative is None or not is_definite(-negative) else (-negative).astype(float)
 
 
 def filter_norm(k: ArrayLike) -> Matrix:
@@ -232,7 +284,10 @@ def filter_norm(k: ArrayLike) -> Matrix:
         At least the norm of (s I - A_f)^-1, by no more than `FEASIBLE_TOLERANCE` of it.
     """
     gain = hurwitz_filter_gain(k)
-    return np.array([_least(lambda g: filter_riccati(gain, g) is not None)])
+    # The response at frequency 0, (-A_f)^-1, bounds the norm from below; half of it is below
+    # whatever rounding makes of it.
+    at_rest = np.linalg.norm(np.linalg.inv(filter_matrix(gain)), 2)
+    return np.array([_least(lambda g: filter_riccati(gain, g) is not None, float(at_rest) / 2)])
 
 
 def matched_riccati(
@@ -296,36 +351,77 @@ def matched_riccati(
 
 
 def _filter_gain(r: float, Q: Matrix, given: str) -> Matrix:
+    if not 0 < Q[0, 0] < math.inf:
+        raise InfeasibleDesign(f"{given}: the weight Q of (41) leaves the range of floats")
     X = iss_riccati(r, Q)
     if X is None:
         n = Q.shape[0]
-        least = _rounded_up(smallest_feasible_r(n, Q))
-        if r >= least:
-            raise InfeasibleDesign(
-                f"r = {r:.9g} is too large with {given}, n = {n}, to solve (43) in double "
-                f"precision; give one nearer to the smallest feasible r, {least:.6g}"
-            )
         raise InfeasibleDesign(
             f"r = {r:.9g} is infeasible with {given}, n = {n}: (43) has no solution X > 0; "
-            f"the smallest feasible r is {least:.6g}"
+            f"the smallest feasible r is {_rounded_up(smallest_feasible_r(n, Q)):.6g}"
         )
     return X[:, 0] / 2
 
 
-def _least(feasible: Callable[[float], bool]) -> float:
+def _unbounded(Q: Matrix) -> Exact:
+    """P of `_inverse_solution` for r = infinity, which exists and is positive definite."""
+    n = len(Q)
+    P = stabilising(-upper_shift(n), Q, np.diag(np.eye(n)[0]))
+    if P is None or not is_definite(P):
+        raise _out_of_reach()
+    return P
+
+
+def _inverse_solution(r: float, Q: Matrix, start: Exact) -> Exact | None:
+    """P = X^-1 > 0 of (43), from a solution for a larger r; None where there is none."""
+    P = _inverse_in_floats(r, Q, start)
+    if P is None:
+        return None
+    P = newton(exact(P), -upper_shift(len(Q)), Q, _observed(r, len(Q)))
+    return P if P is not None and is_definite(P) else None
+
+
+def _inverse_in_floats(r: float, Q: Matrix, start: Exact) -> Matrix | None:
+    """P = X^-1 of (43), definite or not, roughly."""
+    # Element (1, 1) of the equation of P is P_1 Q P_1^T = 1 - 1 / r^2, with P_1 the first row.
+    if r <= 1:
+        return None
+    P: Matrix | None = newton(start.astype(float), -upper_shift(len(Q)), Q, _observed(r, len(Q)))
+    return P
+
+
+def _observed(r: float, n: int) -> Exact:
+    """e_1 e_1^T - I / r^2."""
+    weight: Exact = exact(-np.eye(n)) / Fraction(r) ** 2
+    weight[0, 0] += 1
+    return weight
+
+
+def _solution(P: Exact) -> Matrix | None:
+    """X = P^-1 in double precision, or None where rounding may take its definiteness.
+
+    X has to be more than `ROUNDING` of its size away from singular matrices: what functions that
+    work on X in double precision, a Cholesky decomposition or eigenvalues, need to find X > 0.
+    """
+    inverse = definite_inverse(P)
+    if inverse is None:
+        return None
+    X: Matrix = inverse.astype(float)
+    n = len(X)
+    margin = exact(np.eye(n)) * Fraction(n * ROUNDING * float(np.abs(X).max()))
+    return X if is_definite(exact(X) - margin) else None
+
+
+def _least(
+    feasible: Callable[[float], bool], infeasible: float, width: float = FEASIBLE_TOLERANCE
+) -> float:
     """The lower end of a half-line of feasible positive numbers, from its feasible side."""
-    high = 1.0
+    low, high = infeasible, 2.0 * infeasible
     while not feasible(high):
-        high *= 2.0
+        low, high = high, 2.0 * high
         if high > LARGEST_FEASIBLE:
-            raise InfeasibleDesign(
-                f"the Riccati equation has no solution for any gain up to {LARGEST_FEASIBLE:.0e}: "
-                "its weights are too far apart for double precision"
-            )
-    low = high / 2.0
-    while feasible(low):
-        low, high = low / 2.0, low
-    while high - low > FEASIBLE_TOLERANCE * high:
+            raise _out_of_reach()
+    while high - low > width * low:
         middle = (low + high) / 2.0
         if feasible(middle):
             high = middle
@@ -334,30 +430,17 @@ def _least(feasible: Callable[[float], bool]) -> float:
     return high
 
 
+def _out_of_reach() -> InfeasibleDesign:
+    return InfeasibleDesign(
+        f"the Riccati equation has no solution for any gain up to {LARGEST_FEASIBLE:.0e} that "
+        "double precision could hold: its weights are too far apart"
+    )
+
+
 def _game_riccati(A: Matrix, B: Matrix, Q: Matrix, weight: float) -> Matrix | None:
     """P > 0 with A^T P + P A - weight P B B^T P + Q = 0 and A - weight B B^T P Hurwitz."""
-    if weight == 0:
-        P = _riccati(A, 0 * B, Q, np.eye(1))
-    else:
-        P = _riccati(A, B, Q, np.array([[1.0 / weight]]))
-    return P if P is not None and _hurwitz(A - weight * B @ B.T @ P) else None
-
-
-def _riccati(A: Matrix, B: Matrix, Q: Matrix, R: Matrix) -> Matrix | None:
-    """X = X^T > 0 with A^T X + X A - X B R^-1 B^T X + Q = 0, R indefinite or not; else None."""
-    try:
-        X = solve_continuous_are(A, B, Q, R)
-    except (LinAlgError, ValueError):  # the second: eigenvalues too close to be told apart
-        return None
-    quadratic = X @ B @ np.linalg.solve(R, B.T @ X)
-    residual = A.T @ X + X @ A - quadratic + Q
-    scale = max(np.abs(Q).max(), np.abs(quadratic).max(), np.abs(A.T @ X).max())
-    solved = np.abs(residual).max() <= RESIDUAL_TOLERANCE * scale
-    return X if solved and np.linalg.eigvalsh(X).min() > 0 else None
-
-
-def _hurwitz(A: Matrix) -> bool:
-    return bool(np.linalg.eigvals(A).real.max() < 0)
+    P = stabilising(A, weight * B @ B.T, Q)
+    return P.astype(float) if P is not None and is_definite(P) else None
 
 
 def _square(value: ArrayLike, n: int, name: str) -> Matrix:
@@ -365,6 +448,17 @@ def _square(value: ArrayLike, n: int, name: str) -> Matrix:
     if array.shape != (n, n):
         raise InvalidInput(f"{name} has shape {array.shape}; valid: ({n}, {n})")
     return array
+
+
+def _positive_definite(Q: ArrayLike) -> Matrix:
+    """Q, made symmetric to the last digit."""
+    given = np.asarray(Q, dtype=float)
+    if given.ndim == 2 and given.shape[0] == given.shape[1] and np.isfinite(given).all():
+        weight: Matrix = (given + given.T) / 2
+        symmetric = np.abs(given - weight).max() <= SYMMETRY_TOLERANCE * np.abs(given).max()
+        if symmetric and is_definite(exact(weight)):
+            return weight
+    raise InvalidInput(f"Q = {given.tolist()}; valid: symmetric and positive definite")
 
 
 def _check_positive(**values: float) -> None:

@@ -9,15 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from congelation.errors import InvalidInput, nearest
-from congelation.theory.gains import RULES
+from congelation.theory.gains import RULES, SYMMETRY_TOLERANCE
 from congelation.theory.model import Domain, Gain, Model, Parameter
 
 __all__ = ["complete_values"]
 
 Values = dict[str, NDArray[np.float64]]
-
-SYMMETRY_TOLERANCE = 1e-12
-"""Asymmetry, relative to the largest element, that passes for rounding in a given matrix."""
 
 
 def complete_values(model: Model, given: Mapping[str, object] | None = None) -> Values:

@@ -1,10 +1,27 @@
-"""Small dense matrices as lists of rows: what the Riccati equations need, without numpy."""
+"""Small dense matrices as lists of rows: what the Riccati equations need, without numpy.
+
+Sums of floats are those of `math.fsum`, which are the same in all versions of Python.
+"""
 
 from __future__ import annotations
 
-from math import sqrt
+from fractions import Fraction
+from math import fsum, sqrt
 
-__all__ = ["cholesky", "determinant", "identity", "inverse", "product", "transpose"]
+__all__ = [
+    "cholesky",
+    "definite_inverse",
+    "determinant",
+    "exact",
+    "identity",
+    "inverse",
+    "is_definite",
+    "largest",
+    "product",
+    "rounded",
+    "scaled",
+    "transpose",
+]
 
 
 def identity(n):
@@ -18,9 +35,61 @@ def transpose(a):
 
 
 def product(a, b):
-    """The matrix product a b."""
+    """The matrix product a b, both of floats or both of fractions."""
     columns = transpose(b)
-    return [[sum(x * y for x, y in zip(row, column)) for column in columns] for row in a]
+    add = sum if isinstance(a[0][0], Fraction) else fsum
+    return [[add([x * y for x, y in zip(row, column)]) for column in columns] for row in a]
+
+
+def scaled(a, factor):
+    """The matrix ``factor a``."""
+    return [[factor * value for value in row] for row in a]
+
+
+def largest(a):
+    """The largest magnitude of an element of a."""
+    return max(abs(value) for row in a for value in row)
+
+
+def exact(a):
+    """a in fractions."""
+    return [[Fraction(value) for value in row] for row in a]
+
+
+def rounded(a):
+    """a in floats."""
+    return [[float(value) for value in row] for row in a]
+
+
+def is_definite(a):
+    """Whether a = a^T, of fractions, is positive definite: all pivots are positive."""
+    rest = a
+    while rest:
+        head, *rows = rest
+        if not head[0] > 0:
+            return False
+        factors = [row[0] / head[0] for row in rows]
+        rest = [
+            [x - factor * y for x, y in zip(row[1:], head[1:])]
+            for factor, row in zip(factors, rows)
+        ]
+    return True
+
+
+def definite_inverse(a):
+    """The inverse of a = a^T, of fractions, or None where a is not positive definite."""
+    n = len(a)
+    rows = [row + unit for row, unit in zip(a, exact(identity(n)))]
+    for i in range(n):
+        head = rows[i][i]
+        if not head > 0:
+            return None
+        rows[i] = [x / head for x in rows[i]]
+        for j in range(n):
+            if j != i:
+                factor = rows[j][i]
+                rows[j] = [x - factor * y for x, y in zip(rows[j], rows[i])]
+    return [row[n:] for row in rows]
 
 
 def inverse(a):
@@ -67,7 +136,7 @@ def cholesky(a):
     lower = [[0.0] * n for _ in range(n)]
     for i in range(n):
         for j in range(i + 1):
-            rest = a[i][j] - sum(lower[i][k] * lower[j][k] for k in range(j))
+            rest = a[i][j] - fsum([lower[i][k] * lower[j][k] for k in range(j)])
             if i == j:
                 if not rest > 0.0:
                     return None

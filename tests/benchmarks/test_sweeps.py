@@ -11,7 +11,7 @@ from benchmarks import long_run
 from benchmarks.phases import STEPPING, Timers
 from benchmarks.sweep_job import FRESH, RESULTS, Job, do, elsewhere, measured
 from benchmarks.sweeps import overhead
-from congelation.study.store import Store
+from congelation.results.store import Store
 
 STEPS, STEP = 200, 1e-4
 HELD = {"coupling": "jacobi", "step": STEP, "stop_time": STEPS * STEP}

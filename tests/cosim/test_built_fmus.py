@@ -7,9 +7,9 @@ import pytest
 
 from congelation.cosim import SlavePool, adaptive, simulate
 from congelation.cosim.step_size import StepSize
-from congelation.study.scenario_file import load_scenario
-from congelation.study.verify import reference
-from tests.study.scenarios import ROOT
+from congelation.scenario.load import load_scenario
+from congelation.verify.reference import reference
+from tests.scenarios import ROOT
 
 from .monolithic import order
 

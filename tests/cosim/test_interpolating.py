@@ -10,9 +10,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from congelation.cosim import Component, Connection, Status, System, simulate
-from congelation.cosim.description import describe
-from congelation.cosim.slave import Slave
 from congelation.errors import InvalidInput, SlaveError
+from congelation.fmi.description import describe
+from congelation.fmi.slave import Slave
 
 from .monolithic import order
 

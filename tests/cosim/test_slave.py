@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from congelation.cosim.description import describe
-from congelation.cosim.library import unpack
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.slave import Slave, StepDiscarded
-from congelation.cosim.start import resolve_start
 from congelation.cosim.system import Component, System
 from congelation.errors import SlaveError
+from congelation.fmi.description import describe
+from congelation.fmi.library import unpack
+from congelation.fmi.slave import Slave, StepDiscarded
+from congelation.fmi.start import resolve_start
 
 
 def ready(fmus, name, start=None, instance="s"):

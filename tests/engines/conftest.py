@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from congelation.study.ssp import write_ssp
+from congelation.scenario.ssp import write_ssp
 from tests.engines.loops import LOOPS, Loop, scenario
 
 

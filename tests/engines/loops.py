@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from congelation.cosim import Result, simulate
-from congelation.study.scenario import Case, Scenario
-from congelation.study.scenario_file import load_scenario
+from congelation.scenario.load import load_scenario
+from congelation.scenario.scenario import Case, Scenario
 
 ROOT = Path(__file__).parents[2]
 

@@ -89,7 +89,7 @@ def test_steps(fmu):
         ("MatchedController", {"Q[2,2]": 1e300}, "valid with the other values: Q[2,2] = 1.0"),
         ("MatchedController", {"epsilon": 1e-300}, "epsilon = 1e-300 cannot be used: P cannot"),
         ("OutputFeedbackController", {"epsilon": 1e-300}, "epsilon = 1e-300 cannot be used: k"),
-        ("OutputFeedbackController", {"r": 1e-300}, "the smallest feasible r is about 3.3"),
+        ("OutputFeedbackController", {"r": 1e-300}, "the smallest feasible r is 3.3"),
     ],
 )
 def test_the_parameter_at_fault_is_named(name, bad, expected):

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from congelation.study.records import Trajectory
-from congelation.study.store import Store
+from congelation.results.records import Trajectory
+from congelation.results.store import Store
 
 ABOUT = {
     "title": "Two <runs>",

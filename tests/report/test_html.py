@@ -11,7 +11,7 @@ import pytest
 
 from congelation.errors import CongelationError, InvalidInput
 from congelation.report.html import write_html
-from congelation.study.store import Store
+from congelation.results.store import Store
 from tests.report.stored import stored, stored_failures
 
 VOID = {"meta", "img", "br"}

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from congelation.errors import InvalidInput
 from congelation.report.pareto import draw_front, pareto_front
 from congelation.report.summary import summarise_groups
-from congelation.study.records import Study
+from congelation.results.records import Study
 
 METRICS = {name: {"metric": "peak", "of": "a.x", "unit": "s"} for name in ("time", "cost")}
 ABOUT = {"varied": ["a.k"], "metrics": METRICS, "sweep": {}}

@@ -1,6 +1,8 @@
 """The Riccati equations, checked through their residuals and through independent knowledge."""
 
+import importlib
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,6 +32,30 @@ orders = st.integers(min_value=1, max_value=5)
 weights = st.sampled_from([0.05, 0.3, 1.0, 5.0])
 
 
+SOURCES = Path(__file__).parents[2] / "fmu_src"
+
+
+@pytest.fixture(scope="module")
+def inside_fmus():
+    """The rules that travel inside the FMUs."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(SOURCES)
+        return importlib.import_module("_shared.gains")
+
+
+def residual_of_43(X, r, Q):
+    """Largest element of the residual, and of the terms S X, X e_1 e_1^T X, X X / r^2 and Q."""
+    SX, first, square = upper_shift(len(X)) @ X, X[:, :1] @ X[:1], X @ X / r**2
+    left = SX + SX.T - first + square + Q
+    return np.abs(left).max(), max(np.abs(term).max() for term in (SX, first, square, Q))
+
+
+def check_solution(X, r, Q):
+    residual, scale = residual_of_43(X, r, Q)
+    assert residual < 1e-13 * scale
+    assert np.linalg.eigvalsh(X).min() > 0
+
+
 def riccati_terms(X, r, Q):
     S, e_1 = upper_shift(len(X)), np.eye(len(X))[:, :1]
     return [S @ X + X @ S.T, -X @ (e_1 @ e_1.T - np.eye(len(X)) / r**2) @ X, Q]
@@ -48,15 +74,14 @@ def test_iss_riccati_solves_43(n, epsilon, factor):
     assert iss_filter_gain(r, epsilon, n=n) == pytest.approx(X[:, 0] / 2)
 
 
-@pytest.mark.parametrize("epsilon", [0.1, 10**-0.5, 1.0, 3.0])
+@pytest.mark.parametrize("epsilon", [1e-4, 0.1, 10**-0.5, 1.0, 3.0, 1e3])
 def test_smallest_r_closed_forms(epsilon):
     """n = 1: (1 - 1/r^2) X^2 = q, so r > 1. n = 2: X blows up along v with v_1 = 1/r, and the
     projections of (43) on v and across give r^2 = 1 + q."""
     q = 1 / epsilon**2
-    assert smallest_feasible_r(1, iss_weight(1, epsilon)) == pytest.approx(1, rel=1e-7)
-    assert smallest_feasible_r(2, iss_weight(2, epsilon)) == pytest.approx(
-        math.sqrt(1 + q), rel=1e-7
-    )
+    assert 1 < smallest_feasible_r(1, iss_weight(1, epsilon)) < 1 + 1e-9
+    edge = math.sqrt(1 + q)
+    assert edge < smallest_feasible_r(2, iss_weight(2, epsilon)) < edge * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("n", [1, 2, 4, 8])
@@ -71,13 +96,84 @@ def test_weights_beyond_double_precision_are_refused():
         smallest_feasible_r(3, iss_weight(3, 1e-14))
 
 
-@given(n=orders, seed=seeds)
-@settings(max_examples=20)
+@pytest.mark.fuzz
+@given(n=st.integers(1, 6), seed=seeds)
 def test_smallest_r_separates(n, seed):
+    """Feasible at and above it, with an accurate solution; infeasible below."""
     Q = random_definite(np.random.default_rng(seed), n)
     r = smallest_feasible_r(n, Q)
-    assert iss_riccati(r * (1 + 1e-6), Q) is not None
-    assert iss_riccati(r * (1 - 1e-6), Q) is None
+    for factor in (1, 1 + 1e-9, 1 + 1e-8, 1 + 1e-6, 1.1, 1e3, 1e9):
+        check_solution(iss_riccati(r * factor, Q), r * factor, Q)
+    for factor in (1 - 1e-9, 1 - 1e-8, 1 - 1e-6, 0.9, 1e-3):
+        assert iss_riccati(r * factor, Q) is None
+
+
+@pytest.mark.fuzz
+@given(seed=seeds)
+def test_closed_form_for_order_2(seed):
+    q = 10 ** np.random.default_rng(seed).uniform(-4, 8)
+    edge = math.sqrt(1 + q)
+    r = smallest_feasible_r(2, q * np.eye(2))
+    assert edge < r < edge * (1 + 1e-9)
+
+
+@given(n=st.integers(1, 6), seed=seeds)
+@settings(max_examples=20)
+def test_residual_of_43_away_from_the_edge(n, seed):
+    """Relative to X (e_1 e_1^T - I / r^2) X as a whole, whose parts nearly cancel at the edge."""
+    Q = random_definite(np.random.default_rng(seed), n)
+    r = smallest_feasible_r(n, Q) * (1 + 1e-6)
+    terms = riccati_terms(iss_riccati(r, Q), r, Q)
+    assert np.abs(sum(terms)).max() < 1e-8 * max(np.abs(term).max() for term in terms)
+
+
+def test_a_case_that_bisection_on_the_game_equation_failed():
+    Q = random_definite(np.random.default_rng(0), 5)
+    r = smallest_feasible_r(5, Q)
+    assert r == pytest.approx(9.568993914177, rel=1e-9)
+    check_solution(iss_riccati(1.000001 * r, Q), 1.000001 * r, Q)
+
+
+def test_solution_that_double_precision_cannot_hold():
+    """Eigenvalues of Q so far apart that X, though positive definite, does not survive rounding."""
+    with pytest.raises(InfeasibleDesign, match="too near to a singular matrix"):
+        iss_riccati(10.0, np.diag([1.0, 1.0, 1e-30]))
+
+
+@pytest.mark.parametrize("Q", [np.diag([1.0, -1.0]), [[1.0, 2.0], [0.0, 5.0]], [[math.nan]]])
+def test_weights_that_are_refused(Q):
+    with pytest.raises(InvalidInput, match="symmetric and positive definite"):
+        iss_riccati(5.0, Q)
+
+
+@pytest.mark.fuzz
+@settings(max_examples=settings.default.max_examples // 4)  # fractions in Python take their time
+@given(n=st.integers(1, 5), logarithm=st.floats(-1.5, 1.5), factor=st.floats(1, 20))
+def test_filters_inside_fmus_are_the_same(inside_fmus, n, logarithm, factor):
+    """Bit for bit, however near to the edge: both sides round the exact solution."""
+    epsilon = 10**logarithm
+    r = smallest_feasible_r(n, iss_weight(n, epsilon))
+    assert inside_fmus.smallest_feasible_r(n, epsilon) == r
+    for given_r in (r, factor * r):
+        k = iss_filter_gain(given_r, epsilon, n=n)
+        assert inside_fmus.iss_filter_gain(given_r, epsilon, n) == k.tolist()
+    with pytest.raises(inside_fmus.Infeasible, match="smallest feasible r is"):
+        inside_fmus.iss_filter_gain(r * (1 - 1e-9), epsilon, n)
+
+
+@given(seed=seeds, n=st.integers(1, 4))
+@settings(max_examples=20)
+def test_other_rules_inside_fmus_are_the_same(inside_fmus, seed, n):
+    rng = np.random.default_rng(seed)
+    k = placed_filter_gain(-rng.uniform(0.3, 3, n))
+    assert inside_fmus.filter_norm(k.tolist()) == pytest.approx(filter_norm(k), rel=1e-9)
+    A, B, Q = rng.normal(size=(n, n)), rng.normal(size=(n, 1)), random_definite(rng, n)
+    rho, epsilon, delta = 6.0, rng.uniform(0.5, 2), rng.uniform(0, 2)
+    P = matched_riccati(rho, epsilon, delta, 1.0, Q, A=A, B=B)
+    inside = inside_fmus.matched_riccati(
+        rho, epsilon, delta, True, Q.tolist(), A.tolist(), B.tolist()
+    )
+    assert inside == pytest.approx(P.ravel(), rel=1e-9, abs=1e-12)
 
 
 def test_paper_values_are_infeasible():

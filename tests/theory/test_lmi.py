@@ -4,6 +4,8 @@ import sys
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from congelation.errors import InfeasibleDesign, InvalidInput
 from congelation.theory.gains import (
@@ -15,6 +17,8 @@ from congelation.theory.gains import (
 )
 from congelation.theory.lmi import iss_lmi, smallest_feasible_r_lmi
 
+from .systems import random_definite, seeds
+
 
 def left_side_of_41(X, r, Q):
     S, e_1 = upper_shift(len(X)), np.eye(len(X))[:, :1]
@@ -24,6 +28,14 @@ def left_side_of_41(X, r, Q):
 @pytest.mark.parametrize("Q", [iss_weight(2, 1.0), iss_weight(3, 0.5), iss_weight(3, 1, 0.7, 2)])
 def test_smallest_r_of_both_ways(Q):
     assert smallest_feasible_r_lmi(Q) == pytest.approx(smallest_feasible_r(len(Q), Q), rel=1e-4)
+
+
+@given(n=st.integers(1, 5), seed=seeds)
+@settings(max_examples=10)
+def test_smallest_r_of_random_weights(n, seed):
+    """The semidefinite programme knows nothing of Riccati equations."""
+    Q = random_definite(np.random.default_rng(seed), n)
+    assert smallest_feasible_r(n, Q) == pytest.approx(smallest_feasible_r_lmi(Q), rel=1e-4)
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

@@ -16,10 +16,10 @@ from congelation.cosim.coupling.interpolant import HIGH, LOW, Interpolant
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.result import RunEnded, Status
-from congelation.cosim.slave import StepDiscarded
 from congelation.cosim.states import Checkpoint
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
+from congelation.fmi.slave import StepDiscarded
 
 __all__ = ["Hermite"]
 

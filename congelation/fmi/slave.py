@@ -1,0 +1,321 @@
+"""One FMU instance: the calls of FMI 2.0 co-simulation, each with its status checked.
+
+The calls of the stepping loop go to the C functions directly, with arrays made once: per call,
+fmpy's convenience methods cost several times what the FMU itself needs.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.errors import SlaveError
+from congelation.fmi.description import Description, Variable
+from congelation.fmi.library import Log, load
+from congelation.fmi.start import StartValue
+
+__all__ = ["Slave", "State", "StepDiscarded"]
+
+WARNING, DISCARD, FATAL = 1, 2, 4
+STATUS_NAMES = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal", "fmi2Pending")
+
+Floats = npt.NDArray[np.float64]
+State = ctypes.c_void_p
+"""A handle to a saved FMU state, of one instance."""
+
+
+class StepDiscarded(SlaveError):
+    """The FMU could not make a step of this length; a shorter one may do."""
+
+
+class Slave:
+    """One loaded FMU instance.
+
+    Parameters
+    ----------
+    name : str
+        Of the component; messages carry it.
+    description : Description
+        The FMU.
+
+    Raises
+    ------
+    InvalidInput
+        The FMU has no binary that loads here.
+    SlaveError
+        The FMU refused to be instantiated.
+    """
+
+    def __init__(self, name: str, description: Description) -> None:
+        self.name = name
+        self.description = description
+        self.time = 0.0
+        self.log = Log()
+        self._states: list[State] = []
+        self._broken = False
+        self._fmu = load(description, name, self.log)
+        self._component = ctypes.c_void_p(self._fmu.component)
+        if not self._component:
+            raise SlaveError(name, 0.0, self._reason("fmi2Instantiate returned NULL"))
+        self._do_step = self._function(
+            "fmi2DoStep", ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int
+        )
+        self._get_state = self._function("fmi2GetFMUstate")
+        self._set_state = self._function("fmi2SetFMUstate")
+        self._free_state = self._function("fmi2FreeFMUstate")
+
+    # -- life ---------------------------------------------------------------------------------
+
+    def setup(
+        self, start_time: float, stop_time: float | None = None, tolerance: float | None = None
+    ) -> None:
+        """fmi2SetupExperiment."""
+        self.time = start_time
+        self._call(
+            "fmi2SetupExperiment",
+            ctypes.c_int(tolerance is not None),
+            ctypes.c_double(tolerance or 0.0),
+            ctypes.c_double(start_time),
+            ctypes.c_int(stop_time is not None),
+            ctypes.c_double(stop_time or 0.0),
+        )
+
+    def enter_initialization(self) -> None:
+        """fmi2EnterInitializationMode."""
+        self._call("fmi2EnterInitializationMode")
+
+    def exit_initialization(self) -> None:
+        """fmi2ExitInitializationMode."""
+        self._call("fmi2ExitInitializationMode")
+
+    def reset(self) -> None:
+        """fmi2Reset: as if instantiated anew; saved states are freed."""
+        self.free_states()
+        self.log.clear()
+        self._call("fmi2Reset")
+
+    def close(self) -> None:
+        """Free the instance; after fmi2Fatal it is abandoned, as FMI 2.0 demands."""
+        if self._component and not self._broken:
+            self.free_states()
+            self._function("fmi2FreeInstance", ctypes.c_void_p, returns=None)(self._component)
+        self._component = ctypes.c_void_p()
+
+    @property
+    def usable(self) -> bool:
+        """Whether the instance may be called again (after a reset)."""
+        return bool(self._component) and not self._broken
+
+    def __enter__(self) -> Slave:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # -- values -------------------------------------------------------------------------------
+
+    def set_values(self, values: Iterable[StartValue]) -> None:
+        """Set variables of any type, one call per type."""
+        groups: dict[str, list[StartValue]] = defaultdict(list)
+        for value in values:
+            groups[value.variable.type].append(value)
+        for kind, group in groups.items():
+            c_type = _C_TYPES[kind]
+            scalars = [v.value.encode() if isinstance(v.value, str) else v.value for v in group]
+            self._call(
+                f"fmi2Set{kind}",
+                _references(v.variable.reference for v in group),
+                ctypes.c_size_t(len(group)),
+                (c_type * len(group))(*scalars),
+            )
+
+    def set_value(self, variable: Variable, value: float | int | bool | str) -> None:
+        """Set one variable of any type."""
+        self.set_values([StartValue(variable, value)])
+
+    def get_values(self, kind: str, references: Sequence[int]) -> list[float | int | bool | str]:
+        """Read variables of one type: Real, Integer, Boolean or String."""
+        values = (_C_TYPES[kind] * len(references))()
+        self._call(
+            f"fmi2Get{kind}", _references(references), ctypes.c_size_t(len(references)), values
+        )
+        if kind == "String":
+            return [(value or b"").decode() for value in values]
+        return [bool(value) for value in values] if kind == "Boolean" else list(values)
+
+    def reader(self, references: Sequence[int], values: Floats) -> Callable[[], None]:
+        """A function that reads Real variables into `values`, in one call.
+
+        Parameters
+        ----------
+        references : sequence of int, length n
+        values : array, shape (n,)
+            Contiguous; it is kept and overwritten at each call.
+        """
+        return self._bound("fmi2GetReal", references, values)
+
+    def writer(self, references: Sequence[int], values: Floats) -> Callable[[], None]:
+        """A function that sets Real variables from `values`, shape (n,), in one call."""
+        return self._bound("fmi2SetReal", references, values)
+
+    def derivative_reader(
+        self, references: Sequence[int], order: int, values: Floats
+    ) -> Callable[[], None]:
+        """A function that reads output derivatives (fmi2GetRealOutputDerivatives)."""
+        orders = (ctypes.c_int * len(references))(*[order] * len(references))
+        return self._bound("fmi2GetRealOutputDerivatives", references, values, orders)
+
+    def derivative_writer(
+        self, references: Sequence[int], orders: Sequence[int], values: Floats
+    ) -> Callable[[], None]:
+        """A function that sets input derivatives (fmi2SetRealInputDerivatives)."""
+        array = (ctypes.c_int * len(references))(*orders)
+        return self._bound("fmi2SetRealInputDerivatives", references, values, array)
+
+    # -- stepping -----------------------------------------------------------------------------
+
+    def step(self, time: float, length: float, no_return: int = 1) -> None:
+        """fmi2DoStep from `time`; `no_return` is noSetFMUStatePriorToCurrentPoint.
+
+        Raises
+        ------
+        StepDiscarded
+            The FMU returned fmi2Discard.
+        SlaveError
+            It returned fmi2Error or worse.
+        """
+        self.time = time
+        status = self._do_step(self._component, time, length, no_return)
+        if status > WARNING:
+            self._fail("fmi2DoStep", status)
+
+    def save(self) -> State:
+        """fmi2GetFMUstate."""
+        state = State()
+        self._states.append(state)
+        self._check("fmi2GetFMUstate", self._get_state(self._component, ctypes.byref(state)))
+        return state
+
+    def save_into(self, state: State) -> None:
+        """Save over a state of this instance that is no longer needed."""
+        # Freed first: some FMUs would overwrite the pointer and lose the memory behind it.
+        self._free_state(self._component, ctypes.byref(state))
+        state.value = None
+        self._check("fmi2GetFMUstate", self._get_state(self._component, ctypes.byref(state)))
+
+    def restore(self, state: State) -> None:
+        """fmi2SetFMUstate."""
+        self._check("fmi2SetFMUstate", self._set_state(self._component, state))
+
+    def free_states(self) -> None:
+        """Free every saved state."""
+        for state in self._states:
+            if state:
+                self._free_state(self._component, ctypes.byref(state))
+        self._states.clear()
+
+    def serialize(self, state: State) -> bytes:
+        """A saved state as bytes (fmi2SerializeFMUstate)."""
+        size = ctypes.c_size_t()
+        self._call("fmi2SerializedFMUstateSize", state, ctypes.byref(size))
+        data = (ctypes.c_char * size.value)()
+        self._call("fmi2SerializeFMUstate", state, data, size)
+        return data.raw
+
+    def deserialize(self, data: bytes) -> State:
+        """The state that bytes stand for (fmi2DeSerializeFMUstate)."""
+        state = State()
+        buffer = ctypes.create_string_buffer(data, len(data))
+        self._call(
+            "fmi2DeSerializeFMUstate", buffer, ctypes.c_size_t(len(data)), ctypes.byref(state)
+        )
+        self._states.append(state)
+        return state
+
+    # -- failures -----------------------------------------------------------------------------
+
+    def require_no_error(self) -> None:
+        """Fail on a message of status fmi2Error even where no call returned it.
+
+        pythonfmu cannot return fmi2Error from most calls: its FMUs log, and discard the next
+        step. During initialisation the message is the failure.
+        """
+        if self.log.error is not None:
+            raise SlaveError(self.name, self.time, self.log.error.line)
+
+    def _reason(self, otherwise: str) -> str:
+        message = self.log.error or (self.log.messages[-1] if self.log.messages else None)
+        return otherwise if message is None else message.line
+
+    def _check(self, function: str, status: int) -> None:
+        if status > WARNING:
+            self._fail(function, status)
+
+    def _fail(self, function: str, status: int) -> None:
+        self._broken = self._broken or status >= FATAL
+        name = STATUS_NAMES[status] if status < len(STATUS_NAMES) else f"status {status}"
+        reason = self._reason(f"{function} returned {name}")
+        if "KeyboardInterrupt" in reason:
+            # Ctrl-C reached Python code inside the FMU, and comes back as its last message.
+            raise KeyboardInterrupt
+        discarded = status == DISCARD and function == "fmi2DoStep"
+        raise (StepDiscarded if discarded else SlaveError)(self.name, self.time, reason)
+
+    # -- C ------------------------------------------------------------------------------------
+
+    def _function(
+        self, name: str, *argument_types: type, returns: type | None = ctypes.c_int
+    ) -> Callable[..., int]:
+        """A C function of its own, without fmpy's argument types where none are given."""
+        function = self._fmu.dll[name]
+        function.restype = returns
+        if argument_types:
+            function.argtypes = argument_types
+        return function  # type: ignore[no-any-return]  # fmpy publishes no types
+
+    def _call(self, name: str, *arguments: object) -> None:
+        self._check(name, self._function(name)(self._component, *arguments))
+
+    def _bound(
+        self, name: str, references: Sequence[int], values: Floats, *between: object
+    ) -> Callable[[], None]:
+        function = self._function(name)
+        arguments = (
+            self._component,
+            _references(references),
+            ctypes.c_size_t(len(references)),
+            *between,
+            values.ctypes.data_as(ctypes.c_void_p),  # keeps the array alive
+        )
+
+        def call() -> None:
+            status = function(*arguments)
+            if status > WARNING:
+                self._fail(name, status)
+
+        call.__doc__ = f"{name} of {len(references)} values of {self.name}, shape {values.shape}"
+        return call
+
+
+_C_TYPES: dict[str, Any] = {
+    "Real": ctypes.c_double,
+    "Integer": ctypes.c_int,
+    "Boolean": ctypes.c_int,
+    "String": ctypes.c_char_p,
+}
+
+
+def _references(references: Iterable[int]) -> ctypes.Array[ctypes.c_uint]:
+    items = list(references)
+    return (ctypes.c_uint * len(items))(*items)

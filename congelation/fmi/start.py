@@ -1,0 +1,159 @@
+"""Start values of one component: what the user wrote, as values of the FMU's variables."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from congelation.errors import InvalidInput, nearest
+from congelation.fmi.description import Description, Variable
+
+__all__ = ["StartValue", "resolve_start"]
+
+LARGEST_INTEGER = 2**31 - 1
+"""An fmi2Integer has 32 bits."""
+
+
+@dataclass(frozen=True)
+class StartValue:
+    """A variable and the value that it starts from, of the variable's own type."""
+
+    variable: Variable
+    value: float | int | bool | str
+
+
+def resolve_start(
+    description: Description, start: Mapping[str, object], place: str
+) -> tuple[StartValue, ...]:
+    """Find the variables that start values are meant for.
+
+    Parameters
+    ----------
+    description : Description
+        The component's FMU.
+    start : mapping of str to object
+        A scalar for a scalar variable; for a vector or matrix (variables ``v[1]``, ..,
+        ``v[1,1]``, ..) nested lists or an array of exactly its shape.
+    place : str
+        Where the values stand, for messages.
+
+    Raises
+    ------
+    InvalidInput
+        An unknown name, a value of the wrong type or shape, a variable that cannot be set.
+    """
+    found: dict[str, StartValue] = {}
+    for name, value in start.items():
+        here = f"{place}, start value '{name}'"
+        for variable, scalar in _scalars(description, name, value, here):
+            if variable.name in found:
+                raise InvalidInput(f"{here}: '{variable.name}' is given twice")
+            found[variable.name] = StartValue(variable, _typed(variable, scalar, here))
+    return tuple(found.values())
+
+
+def _scalars(
+    description: Description, name: str, value: object, place: str
+) -> Iterator[tuple[Variable, object]]:
+    """Pairs of a scalar variable and its value."""
+    if not isinstance(value, list | tuple | np.ndarray):
+        yield _scalar_variable(description, name, place), value
+        return
+    array = _array(value, place)
+    shape = _shape(description, name)
+    if not shape:
+        if array.size == 1 and name in description.variables:
+            yield description.variables[name], array.ravel()[0]
+            return
+        raise InvalidInput(f"{place}: no vector '{name}'; {nearest(name, _groups(description))}")
+    if array.shape != shape:
+        raise InvalidInput(f"{place}: shape {_text(array.shape)} given, {_text(shape)} needed")
+    for index in np.ndindex(shape):
+        element = f"{name}[{','.join(str(i + 1) for i in index)}]"
+        yield description.variable(element, place), array[index]
+
+
+def _scalar_variable(description: Description, name: str, place: str) -> Variable:
+    if name in description.variables:
+        return description.variables[name]
+    shape = _shape(description, name)
+    if shape and math.prod(shape) == 1:
+        return description.variables[f"{name}[{','.join('1' for _ in shape)}]"]
+    if shape:
+        raise InvalidInput(f"{place}: a list of shape {_text(shape)} is needed")
+    return description.variable(name, place)
+
+
+def _array(value: object, place: str) -> np.ndarray:
+    array = np.array(value, dtype=object)
+    if any(isinstance(item, list | tuple | np.ndarray) for item in array.flat):
+        raise InvalidInput(f"{place}: rows of different lengths")
+    return array
+
+
+def _indices(name: str) -> tuple[str, tuple[int, ...]]:
+    """Split ``v[1,2]`` into ``v`` and (1, 2); no indices where `name` is no element."""
+    stem, bracket, rest = name.rpartition("[")
+    parts = rest[:-1].split(",")
+    if not bracket or not rest.endswith("]") or not all(part.isdecimal() for part in parts):
+        return name, ()
+    return stem, tuple(int(part) for part in parts)
+
+
+def _groups(description: Description) -> dict[str, tuple[int, ...]]:
+    """Names of the vectors and matrices, with their shapes."""
+    groups: dict[str, tuple[int, ...]] = {}
+    for name in description.variables:
+        stem, index = _indices(name)
+        if index:
+            old = groups.get(stem, index)
+            groups[stem] = tuple(max(a, b) for a, b in zip(old, index, strict=False))
+    return groups
+
+
+def _shape(description: Description, name: str) -> tuple[int, ...]:
+    return _groups(description).get(name, ())
+
+
+def _text(shape: tuple[int, ...]) -> str:
+    return " x ".join(str(size) for size in shape) or "of a scalar"
+
+
+def _typed(variable: Variable, value: object, place: str) -> float | int | bool | str:
+    """The value as the variable's own type."""
+    if not variable.settable:
+        raise InvalidInput(
+            f"{place}: '{variable.name}' is {variable.variability}, of causality "
+            f"{variable.causality}; only parameters, inputs and start values can be set"
+        )
+    if isinstance(value, np.generic):
+        value = value.item()
+    if variable.type == "String" and isinstance(value, str):
+        return value
+    if variable.type == "Boolean" and (isinstance(value, bool) or value in (0, 1)):
+        return bool(value)
+    if variable.type == "Integer" and isinstance(value, int) and not isinstance(value, bool):
+        if abs(value) > LARGEST_INTEGER:
+            raise InvalidInput(f"{place}: {value} does not fit in 32 bits")
+        return value
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if variable.type == "Real" and is_number:
+        try:
+            number = float(value)  # type: ignore[arg-type]  # narrowed by is_number
+        except OverflowError:
+            number = math.inf
+        if not math.isfinite(number):
+            raise InvalidInput(f"{place}: {number} is no value; give a finite number")
+        return number
+    raise InvalidInput(f"{place}: {value!r} given, {_WANTED[variable.type]} needed")
+
+
+_WANTED = {
+    "Real": "a number",
+    "Integer": "an integer",
+    "Boolean": "true or false",
+    "String": "a string",
+}

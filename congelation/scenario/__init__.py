@@ -1,0 +1,1 @@
+"""Scenarios: what to run, read from TOML or SSP."""

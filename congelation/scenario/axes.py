@@ -1,0 +1,256 @@
+"""Sweeps: the points of a design of experiments over any settings of a scenario.
+
+A sweep crosses lists of settings with a sample of random ones:
+
+    points = (list 1) x (list 2) x .. x (sample of all random axes together)
+
+less the points that break a constraint. A list may set several things at once, which runs them
+side by side (a zip). The sample is drawn in the unit cube and carried to each axis by the
+inverse of its distribution function, so that plain random numbers, Latin hypercubes and Sobol
+sequences work for every distribution. Equal seeds give equal points.
+
+Each point may be repeated with fresh seeds in some settings. They are the same at every point
+(common random numbers), so that what differs between points is not the luck of the draw.
+
+References
+----------
+M. D. McKay, R. J. Beckman and W. J. Conover, A comparison of three methods for selecting values of
+input variables .., Technometrics 21, 1979 (Latin hypercube).
+A. B. Owen, Scrambling Sobol' and Niederreiter-Xing points, J. Complexity 14, 1998.
+P. Glasserman and D. D. Yao, Some guidelines and guarantees for common random numbers, Management
+Science 38, 1992.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.scenario.constraint import Constraint
+from congelation.scenario.start_values import Scalar
+
+__all__ = [
+    "DISTRIBUTIONS",
+    "MOST_RUNS",
+    "SAMPLINGS",
+    "Distribution",
+    "RandomAxis",
+    "Replicates",
+    "Settings",
+    "Sweep",
+]
+
+Settings = Mapping[str, Scalar]
+Floats = npt.NDArray[np.float64]
+
+MOST_RUNS = 2**20
+"""Of each variant: the plan of so many takes half a gigabyte and some minutes."""
+
+EXACT = 2.0**53
+"""Up to here every whole number is a float."""
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """A distribution with two parameters.
+
+    Parameters
+    ----------
+    parameters : str
+        What they are, for messages.
+    valid : callable
+        Whether two numbers can be its parameters.
+    inverse : callable
+        (u, a, b) -> value for u in (0, 1): the inverse of the distribution function. What overflows
+        is infinite.
+    bounded : bool
+        Whether the ends of (0, 1) give values that are drawn in earnest.
+    """
+
+    parameters: str
+    valid: Callable[[float, float], bool]
+    inverse: Callable[[float, float, float], Scalar]
+    bounded: bool = True
+
+
+def _normal_quantile(u: float, mean: float, deviation: float) -> float:
+    from scipy.special import ndtri  # here, as workers never draw, and start sooner without it
+
+    return mean + deviation * float(ndtri(u))
+
+
+DISTRIBUTIONS: Mapping[str, Distribution] = {
+    "uniform": Distribution(
+        "[low, high] with low < high",
+        lambda a, b: a < b,
+        lambda u, a, b: min(a * (1.0 - u) + b * u, b),
+    ),
+    "log_uniform": Distribution(
+        "[low, high] with 0 < low < high",
+        lambda a, b: 0.0 < a < b,
+        lambda u, a, b: min(max(a, a ** (1.0 - u) * b**u), b),
+    ),
+    "normal": Distribution(
+        "[mean, standard deviation] with a positive deviation",
+        lambda a, b: b > 0.0,
+        _normal_quantile,
+        bounded=False,
+    ),
+    "integers": Distribution(
+        "[first, last], whole numbers of at most 2^53 with first < last",
+        lambda a, b: -EXACT <= a < b <= EXACT and a == math.floor(a) and b == math.floor(b),
+        lambda u, a, b: min(int(a) + math.floor(u * (b - a + 1.0)), int(b)),
+    ),
+}
+
+
+def _random(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
+    return rng.random((samples, dimensions))
+
+
+def _latin_hypercube(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
+    from scipy.stats import qmc  # here, as it takes half a second that only these two need
+
+    points: Floats = qmc.LatinHypercube(dimensions, rng=rng).random(samples)
+    return points
+
+
+def _sobol(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
+    from scipy.stats import qmc
+
+    points: Floats = qmc.Sobol(dimensions, rng=rng).random_base2(samples.bit_length() - 1)
+    return points
+
+
+SAMPLINGS: Mapping[str, Callable[[int, int, np.random.Generator], Floats]] = {
+    "random": _random,
+    "latin_hypercube": _latin_hypercube,
+    "sobol": _sobol,
+}
+"""(samples, dimensions, rng) -> points in the unit cube; a Sobol sequence has 2^k of them."""
+
+# The ends of (0, 1) that are kept clear, so that no normal deviate is infinite.
+_SMALLEST = 2.0**-53
+
+
+@dataclass(frozen=True)
+class RandomAxis:
+    """A setting drawn from one of `DISTRIBUTIONS`; `place` is where the scenario says so."""
+
+    name: str
+    distribution: str
+    parameters: tuple[float, float]
+    place: str = ""
+
+    def value(self, u: float) -> Scalar:
+        """The value below which a fraction `u` of all draws lies."""
+        inside = min(max(u, _SMALLEST), 1.0 - _SMALLEST)
+        return DISTRIBUTIONS[self.distribution].inverse(inside, *self.parameters)
+
+
+@dataclass(frozen=True)
+class Replicates:
+    """Repetitions of every point with fresh seeds.
+
+    Parameters
+    ----------
+    count : int
+    reseeded : tuple of str
+        The settings that get a seed of their own in each repetition.
+    """
+
+    count: int
+    reseeded: tuple[str, ...]
+
+    def seeds(self, seed: int) -> Iterator[dict[str, Scalar]]:
+        """The settings of each repetition: whole numbers of 31 bits, no two of them equal.
+
+        Those of a repetition depend on its number and on `seed` alone, not on `count`.
+        """
+        taken: set[int] = set()
+        for number in range(self.count):
+            for attempt in itertools.count():
+                sequence = np.random.SeedSequence(seed, spawn_key=(number, attempt))
+                words = sequence.generate_state(len(self.reseeded)) >> 1
+                drawn = [int(word) for word in words]
+                if len({*drawn} - taken) == len(drawn):
+                    break
+            taken.update(drawn)
+            yield dict(zip(self.reseeded, drawn, strict=True))
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """A design of experiments.
+
+    Parameters
+    ----------
+    lists : tuple of tuple of mapping
+        Lists of settings, crossed with each other and with the sample.
+    axes : tuple of RandomAxis
+    sampling : str
+        One of `SAMPLINGS`.
+    samples : int
+        Number of draws, 0 if there are no random axes.
+    seed : int
+    trajectories : bool
+        Whether trajectories are kept, or metrics alone.
+    timeout : float, optional
+        Seconds that a run may take.
+    constraints : tuple of Constraint
+        Points that do not satisfy all of them are left out.
+    replicates : Replicates, optional
+        How each point is repeated.
+    """
+
+    lists: tuple[tuple[Settings, ...], ...] = ()
+    axes: tuple[RandomAxis, ...] = ()
+    sampling: str = "random"
+    samples: int = 0
+    seed: int = 0
+    trajectories: bool = False
+    timeout: float | None = None
+    constraints: tuple[Constraint, ...] = ()
+    replicates: Replicates | None = None
+
+    @property
+    def size(self) -> int:
+        """Number of points, before the constraints leave some out."""
+        return math.prod(len(entries) for entries in self.lists) * max(self.samples, 1)
+
+    def names(self) -> tuple[str, ...]:
+        """The settings that differ between runs."""
+        lists = (name for entries in self.lists for name in entries[0])
+        reseeded = self.replicates.reseeded if self.replicates is not None else ()
+        return (*lists, *(axis.name for axis in self.axes), *reseeded)
+
+    def points(self) -> Iterator[dict[str, Scalar]]:
+        """The settings of every point, the sample's varying fastest."""
+        sample = list(self._sample())
+        for combination in itertools.product(*self.lists, sample):
+            point = {name: value for settings in combination for name, value in settings.items()}
+            if all(constraint.holds(point) for constraint in self.constraints):
+                yield point
+
+    def repetitions(self) -> Iterator[tuple[int | None, Settings]]:
+        """The number, from 1, and the settings of each repetition of a point.
+
+        Without replicates there is one, which has no number.
+        """
+        if self.replicates is None:
+            yield None, {}
+        else:
+            yield from enumerate(self.replicates.seeds(self.seed), start=1)
+
+    def _sample(self) -> Iterator[Settings]:
+        if not self.axes:
+            yield {}
+            return
+        rng = np.random.default_rng(self.seed)
+        for row in SAMPLINGS[self.sampling](self.samples, len(self.axes), rng):
+            yield {axis.name: axis.value(float(u)) for axis, u in zip(self.axes, row, strict=True)}

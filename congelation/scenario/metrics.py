@@ -1,0 +1,295 @@
+"""Numbers that sum up a trajectory: v(t) in, one number out.
+
+A metric is a function of the time (N,) and of the values (N, M) of a group of variables; |v|
+below is the Euclidean norm over the group. What is integrated follows a monotone piecewise cubic
+between the points (Fritsch and Butland 1984), which is accurate where steps are long and does not
+overshoot where signals jump; crossings are interpolated linearly; extrema are those of the points.
+
+Further metrics come from installed packages: an entry point of the group ``congelation.metrics``
+names a `Metric`.
+
+References
+----------
+C. A. Desoer and M. Vidyasagar, Feedback Systems: Input-Output Properties, Academic Press 1975.
+F. N. Fritsch and J. Butland, A method for constructing local monotone piecewise cubic
+interpolants, SIAM J. Sci. Stat. Comput. 5, 1984.
+D. Graham and R. C. Lathrop, The synthesis of "optimum" transient response: criteria and standard
+forms, Trans. AIEE 72(II), 1953.
+K. J. Åström and R. M. Murray, Feedback Systems, Princeton University Press 2008.
+P. A. Ioannou and J. Sun, Robust Adaptive Control, Prentice Hall 1996.
+"""
+
+from __future__ import annotations
+
+import inspect
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.errors import InvalidInput, nearest
+
+if TYPE_CHECKING:  # a scenario names its metrics, so its module imports this one's
+    from congelation.scenario.scenario import Case
+
+__all__ = ["ENTRY_POINTS", "METRICS", "Metric", "metric", "norm"]
+
+Array = npt.NDArray[np.float64]
+
+ENTRY_POINTS = "congelation.metrics"
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A named number of a trajectory.
+
+    Parameters
+    ----------
+    name : str
+        What a scenario calls it.
+    evaluate : callable
+        ``evaluate(time, values, **options) -> float or None`` with `time` (N,), `values` (N, M)
+        and real-valued keyword-only options; those without a default must be given. None, or nan,
+        is no answer: the run's column is empty.
+    definition : str
+        One line: the formula and its source.
+    unit : callable
+        Maps the unit of the variables to that of the metric.
+    scalar : bool
+        True if the metric is of one variable, not of a group.
+    loop : bool
+        True if the metric is of the closed loop as a whole: a scenario gives no `of`, and it is
+        ``evaluate(case, time, columns, values)``, the states of the loop among the columns.
+    recorded : bool
+        True if such a metric is of every variable that the experiment records.
+    positive : tuple of str
+        Those of the options that have to be positive.
+    """
+
+    name: str
+    evaluate: Callable[..., float | None]
+    definition: str
+    unit: Callable[[str], str]
+    scalar: bool = False
+    loop: bool = False
+    recorded: bool = False
+    positive: tuple[str, ...] = ()
+
+    @property
+    def options(self) -> dict[str, bool]:
+        """Names of the options; True marks those that must be given."""
+        parameters = inspect.signature(self.evaluate).parameters.values()
+        return {
+            p.name: p.default is inspect.Parameter.empty
+            for p in parameters
+            if p.kind is inspect.Parameter.KEYWORD_ONLY
+        }
+
+    def check_size(self, variables: int) -> None:
+        """Raise InvalidInput unless the metric can be of that many variables."""
+        if self.scalar and variables != 1:
+            raise InvalidInput(f"{self.name} is of one variable, not of a group of {variables}")
+
+
+def norm(values: Array) -> Array:
+    """|v| at each row: the Euclidean norm over the columns of `values` (N, M), shape (N,)."""
+    size = np.max(np.abs(values), axis=1, initial=0.0)
+    # Scaled, so that control values past 1e154 do not overflow when squared.
+    scale = np.where(size > 0.0, size, 1.0)[:, np.newaxis]
+    scaled: Array = np.sqrt(np.sum((values / scale) ** 2, axis=1))
+    return scaled * scale[:, 0]
+
+
+def peak(time: Array, values: Array) -> float:
+    """max |v(t)|, the L_infinity norm."""
+    return float(np.max(norm(values)))
+
+
+def settling_time(time: Array, values: Array, *, below: float) -> float:
+    """Time from the start until |v| is at most `below` for good; inf if it never is."""
+    size = norm(values)
+    outside = np.flatnonzero(size > below)
+    if outside.size == 0:
+        return 0.0
+    last = int(outside[-1])
+    if last == len(time) - 1:
+        return math.inf
+    fraction = (size[last] - below) / (size[last] - size[last + 1])
+    crossing = time[last] + fraction * (time[last + 1] - time[last])
+    return float(crossing - time[0])
+
+
+def _integral(time: Array, integrand: Array) -> float:
+    if not np.isfinite(integrand).all():
+        return math.inf
+    # Here, as it takes a quarter of a second, which the parent of a sweep need not wait.
+    from scipy.interpolate import PchipInterpolator
+
+    return float(PchipInterpolator(time, integrand).integrate(time[0], time[-1]))
+
+
+def integral_of_square(time: Array, values: Array) -> float:
+    """Integral of |v|^2 dt, the square of the L_2 norm."""
+    return _integral(time, norm(values) ** 2)
+
+
+def integral_of_absolute(time: Array, values: Array) -> float:
+    """Integral of |v| dt, the L_1 norm."""
+    return _integral(time, norm(values))
+
+
+def integral_of_time_absolute(time: Array, values: Array) -> float:
+    """Integral of t |v| dt, t counted from the start."""
+    return _integral(time, (time - time[0]) * norm(values))
+
+
+def overshoot(time: Array, values: Array, *, reference: float = 0.0) -> float | None:
+    """Largest excursion past `reference`, as a fraction of the deviation at the start.
+
+    None where there is no deviation at the start.
+    """
+    deviation = values[:, 0] - reference
+    if deviation[0] == 0.0:
+        return None
+    return float(max(0.0, np.max(-deviation / deviation[0])))
+
+
+def drift(time: Array, values: Array) -> float:
+    """|v(t_end) - v(t_start)|."""
+    return float(norm(values[-1:] - values[:1])[0])
+
+
+def lyapunov(case: Case, time: Array, columns: Sequence[str], values: Array) -> float:
+    """The largest relative margin of the Lyapunov certificate along the run."""
+    # Here, as it brings CasADi, whose import the workers of other sweeps do without.
+    from congelation.verify.lyapunov import along
+
+    return along(case, time, columns, values).worst
+
+
+def deviation(case: Case, time: Array, columns: Sequence[str], values: Array) -> float:
+    """The largest distance from the monolithic solution, relative to a variable's peak."""
+    from congelation.results.records import Trajectory  # as above
+    from congelation.verify.reference import compare, reference
+
+    found = compare(reference(case), Trajectory(time, tuple(columns), values, {}))
+    return max(entry.relative for entry in found)
+
+
+def _same(unit: str) -> str:
+    return unit
+
+
+def _time(unit: str) -> str:
+    return "s"
+
+
+def _ratio(unit: str) -> str:
+    return ""
+
+
+def _times(suffix: str, power: str = "") -> Callable[[str], str]:
+    def unit_of(unit: str) -> str:
+        if not unit:
+            return suffix
+        return f"{unit if unit.isalpha() else f'({unit})'}{power} {suffix}"
+
+    return unit_of
+
+
+_BUILT_IN = (
+    Metric(
+        "peak", peak, "max_t |v(t)|, the L_inf norm (Desoer and Vidyasagar 1975, ch. II)", _same
+    ),
+    Metric(
+        "settling_time",
+        settling_time,
+        "inf {T >= 0 : |v(t)| <= below for all t >= T} (Astrom and Murray 2008, sec. 5.3)",
+        _time,
+        positive=("below",),
+    ),
+    Metric(
+        "overshoot",
+        overshoot,
+        "max_t (reference - v(t)) / (v(0) - reference), 0 if negative, empty if v(0) = reference"
+        " (Astrom and Murray 2008, sec. 5.3)",
+        _ratio,
+        scalar=True,
+    ),
+    Metric(
+        "integral_of_square",
+        integral_of_square,
+        "int |v|^2 dt, the square of the L_2 norm (Desoer and Vidyasagar 1975, ch. II)",
+        _times("s", "^2"),
+    ),
+    Metric(
+        "ise",
+        integral_of_square,
+        "int |v|^2 dt, integral of squared error (Graham and Lathrop 1953)",
+        _times("s", "^2"),
+    ),
+    Metric(
+        "iae",
+        integral_of_absolute,
+        "int |v| dt, integral of absolute error (Graham and Lathrop 1953)",
+        _times("s"),
+    ),
+    Metric(
+        "itae",
+        integral_of_time_absolute,
+        "int t |v| dt, integral of time times absolute error (Graham and Lathrop 1953)",
+        _times("s^2"),
+    ),
+    Metric(
+        "drift",
+        drift,
+        "|v(t_end) - v(t_start)|; of an estimate: its parameter drift (Ioannou and Sun 1996,"
+        " sec. 8.3.1)",
+        _same,
+    ),
+    Metric(
+        "lyapunov",
+        lyapunov,
+        "max_t of (worst V' over the admitted theta + claimed rate) / (sum of |terms|), ell at the"
+        " centre of theta's box; above 1e-9 the certificate fails (Chen and Astolfi 2018)",
+        _ratio,
+        loop=True,
+    ),
+    Metric(
+        "deviation",
+        deviation,
+        "max over time and recorded variables of |co-simulated - monolithic| / peak, the latter by"
+        " DOP853 (Hairer, Norsett and Wanner 1993): the error of the coupling",
+        _ratio,
+        loop=True,
+        recorded=True,
+    ),
+)
+
+METRICS: Mapping[str, Metric] = {entry.name: entry for entry in _BUILT_IN}
+
+
+def metric(name: str) -> Metric:
+    """The metric called `name`: one of `METRICS`, or one that an installed package offers.
+
+    Raises
+    ------
+    InvalidInput
+        If there is none, or if the entry point of that name is not a `Metric`.
+    """
+    if name in METRICS:
+        return METRICS[name]
+    offered = {point.name: point for point in entry_points(group=ENTRY_POINTS)}
+    if name not in offered:
+        raise InvalidInput(f"'{name}' is no metric; {nearest(name, [*METRICS, *offered])}")
+    try:
+        found = offered[name].load()
+    except (ImportError, AttributeError) as error:
+        raise InvalidInput(f"metric '{name}' cannot be loaded: {error}") from error
+    if not isinstance(found, Metric):
+        raise InvalidInput(f"metric '{name}' is {offered[name].value}, which is not a Metric")
+    return found

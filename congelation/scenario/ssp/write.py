@@ -1,0 +1,278 @@
+"""One variant of a scenario as an SSP archive.
+
+    SystemStructure.ssd        components, connections, experiment
+    resources/<component>.ssv  the start values of a component
+    resources/<name>.fmu       the FMUs
+    resources/..               files that start values name: tables of theta(t)
+
+Equal scenarios and FMUs give byte-identical archives.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+
+from lxml import etree
+
+from congelation.cosim.system import ResolvedSystem
+from congelation.errors import InvalidInput, nearest
+from congelation.fmi.description import Variable
+from congelation.fmi.start import StartValue
+from congelation.results.store import replace_whole
+from congelation.scenario.scenario import Experiment, Scenario, Variant
+from congelation.scenario.ssp.archive import Contents
+from congelation.scenario.ssp.schema import ANNOTATION, DESCRIPTION, NAMESPACES, SSD, tag
+
+__all__ = ["write_ssp"]
+
+_VERSION = "1.0"
+# One name for the sets of all components: tools apply all sets of a name together.
+_PARAMETER_SET = "initialValues"
+# What the FMUs take where nobody gives a tolerance.
+_SLAVE_TOLERANCE = 1e-8
+
+
+def write_ssp(
+    scenario: Scenario, file: Path, variant: str | None = None, *, derivatives: bool = False
+) -> None:
+    """Write one variant of a scenario as an SSP archive.
+
+    The archive says what SSP 1.0 can say; the coupling, its step, the columns to record, metrics
+    and figures are in an annotation, which other tools ignore.
+
+    Parameters
+    ----------
+    scenario : Scenario
+    file : Path
+        Replaced if it exists.
+    variant : str, optional
+        The first one by default.
+    derivatives : bool
+        Whether to connect the outputs der(.) as well. Tools that hold their inputs then hold the
+        derivatives with them, and the FMUs extrapolate: second order instead of first.
+
+    Raises
+    ------
+    InvalidInput
+        Another ending than .ssp, no such variant, or a connection from a variable that is no
+        output, for which SSP has no connector.
+    StoreError
+        If the file cannot be written.
+    """
+    if file.suffix != ".ssp":
+        raise InvalidInput(f"{file}: the name of an SSP archive ends in .ssp")
+    chosen = _variant(scenario, variant)
+    case = scenario.case(chosen.settings)
+    resolved = case.system.resolve()
+    contents = Contents()
+    root = _root(scenario, file)
+    system = _add(root, "ssd:System", name="system")
+    ties = [*_ties(resolved), *(_derivative_ties(resolved) if derivatives else ())]
+    connectors = _connectors(resolved, ties, case.experiment)
+    elements = _add(system, "ssd:Elements")
+    for place, member in enumerate(resolved.members):
+        fmu = member.description.path
+        source = contents.add(f"resources/{fmu.name}", fmu.read_bytes())
+        component = _add(elements, "ssd:Component", name=member.name, source=source)
+        component.set("implementation", "CoSimulation")
+        _add_connectors(component, connectors[place])
+        parameters = _parameter_set(member.start, contents)
+        bound = contents.add(f"resources/{member.name}.ssv", parameters)
+        _add(_add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=bound)
+    _add_connections(system, resolved, ties)
+    default = _add_experiment(root, case.experiment)
+    _annotate_step(system, default, case.experiment)
+    beyond = _beyond_ssp(scenario, chosen, case.experiment)
+    # OMSimulator refuses annotations of the whole, so this one is the experiment's.
+    etree.SubElement(_annotation(default, ANNOTATION), "Scenario").text = json.dumps(
+        beyond, indent=2
+    )
+    contents.add(SSD, _document(root))
+    replace_whole(file, contents.write)
+
+
+def _variant(scenario: Scenario, name: str | None) -> Variant:
+    if name is None:
+        return scenario.variants[0]
+    for variant in scenario.variants:
+        if variant.name == name:
+            return variant
+    names = [variant.name for variant in scenario.variants]
+    raise InvalidInput(f"{scenario.file}: no variant '{name}'; {nearest(name, names)}")
+
+
+def _root(scenario: Scenario, file: Path) -> etree._Element:
+    root = etree.Element(tag(f"ssd:{DESCRIPTION}"), nsmap=NAMESPACES)
+    root.set("version", _VERSION)
+    root.set("name", file.stem)
+    root.set("description", scenario.title)
+    root.set("generationTool", f"congelation {version('congelation')}")
+    return root
+
+
+def _add(parent: etree._Element, element: str, **attributes: str) -> etree._Element:
+    return etree.SubElement(parent, tag(element), attributes)
+
+
+@dataclass(frozen=True)
+class _Tie:
+    """A connection of two variables, with the places of their components."""
+
+    source: int
+    output: Variable
+    target: int
+    input: Variable
+
+
+def _ties(resolved: ResolvedSystem) -> Iterator[_Tie]:
+    for link in (*resolved.links, *resolved.discrete_links):
+        if link.output.causality != "output":
+            raise InvalidInput(
+                f"connection '{link.name}': '{link.output.name}' is of causality "
+                f"{link.output.causality}; an SSP connects outputs to inputs"
+            )
+        yield _Tie(link.source, link.output, link.target, link.input)
+
+
+def _derivative_ties(resolved: ResolvedSystem) -> Iterator[_Tie]:
+    """From der(output) to der(input), for each order that both ends of a link have."""
+    for link in resolved.links:
+        for output, input_ in zip(link.source_derivatives, link.target_derivatives, strict=True):
+            if output is not None and input_ is not None:
+                yield _Tie(link.source, output, link.target, input_)
+
+
+def _connectors(
+    resolved: ResolvedSystem, ties: Iterable[_Tie], experiment: Experiment
+) -> list[list[Variable]]:
+    """By component: the variables with a connector, in the FMU's order.
+
+    Those are the connected ones, and the outputs that the experiment records, for tools that show
+    nothing but connectors.
+    """
+    wanted: list[set[str]] = [set() for _ in resolved.members]
+    for tie in ties:
+        wanted[tie.source].add(tie.output.name)
+        wanted[tie.target].add(tie.input.name)
+    for column in resolved.recorded(experiment.record):
+        if column.variable.causality == "output":
+            wanted[column.member].add(column.variable.name)
+    return [
+        [v for name, v in member.description.variables.items() if name in names]
+        for member, names in zip(resolved.members, wanted, strict=True)
+    ]
+
+
+def _add_connectors(component: etree._Element, variables: Sequence[Variable]) -> None:
+    if not variables:
+        return
+    connectors = _add(component, "ssd:Connectors")
+    for variable in variables:
+        connector = _add(connectors, "ssd:Connector", name=variable.name, kind=variable.causality)
+        _add(connector, f"ssc:{variable.type}")
+
+
+def _add_connections(
+    system: etree._Element, resolved: ResolvedSystem, ties: Sequence[_Tie]
+) -> None:
+    if not ties:
+        return
+    connections = _add(system, "ssd:Connections")
+    for tie in ties:
+        _add(
+            connections,
+            "ssd:Connection",
+            startElement=resolved.members[tie.source].name,
+            startConnector=tie.output.name,
+            endElement=resolved.members[tie.target].name,
+            endConnector=tie.input.name,
+        )
+
+
+def _parameter_set(start: Iterable[StartValue], contents: Contents) -> bytes:
+    root = etree.Element(
+        tag("ssv:ParameterSet"), nsmap={"ssv": NAMESPACES["ssv"], "ssc": NAMESPACES["ssc"]}
+    )
+    root.set("version", _VERSION)
+    root.set("name", _PARAMETER_SET)
+    parameters = _add(root, "ssv:Parameters")
+    for item in start:
+        parameter = _add(parameters, "ssv:Parameter", name=item.variable.name)
+        value = _packed(item.value, contents)
+        _add(parameter, f"ssv:{item.variable.type}", value=value)
+    return _document(root)
+
+
+def _packed(value: object, contents: Contents) -> str:
+    """A start value as text; a file that one names goes into the archive."""
+    if isinstance(value, str) and Path(value).is_file():
+        table = Path(value)
+        return contents.add(f"resources/{table.name}", table.read_bytes())
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float) and math.isinf(value):
+        return "INF" if value > 0.0 else "-INF"
+    return str(value)
+
+
+def _add_experiment(root: etree._Element, experiment: Experiment) -> etree._Element:
+    """The times; SSP has no place for the step."""
+    default = _add(root, "ssd:DefaultExperiment")
+    default.set("startTime", repr(experiment.start_time))
+    default.set("stopTime", repr(experiment.stop_time))
+    return default
+
+
+def _annotate_step(system: etree._Element, default: etree._Element, experiment: Experiment) -> None:
+    """The step, where libcosim and OMSimulator look for it."""
+    if experiment.step is None or experiment.tolerance is not None:
+        return
+    step = repr(experiment.step)
+    libcosim = _annotation(default, "com.opensimulationplatform")
+    _add(_add(libcosim, "osp:Algorithm"), "osp:FixedStepAlgorithm", baseStepSize=step)
+    omsimulator = _add(_annotation(system, "org.openmodelica"), "oms:Annotations")
+    master = _add(_add(omsimulator, "oms:SimulationInformation"), "oms:FixedStepMaster")
+    # It hands its tolerance to the FMUs.
+    tolerance = experiment.slave_tolerance or _SLAVE_TOLERANCE
+    for name, value in (
+        ("description", "oms-ma"),
+        ("stepSize", step),
+        ("absoluteTolerance", repr(tolerance)),
+        ("relativeTolerance", repr(tolerance)),
+    ):
+        master.set(name, value)
+
+
+def _beyond_ssp(scenario: Scenario, variant: Variant, experiment: Experiment) -> dict[str, object]:
+    """The tables of the scenario file that have no place in SSP 1.0."""
+    return {
+        "title": scenario.title,
+        "variants": [{"name": variant.name}],
+        "experiment": {key: v for key, v in asdict(experiment).items() if v is not None},
+        "metrics": {
+            m.name: {"metric": m.metric, **({"of": m.of} if m.of else {}), **m.options}
+            for m in scenario.metrics
+        },
+        "figures": [
+            {key: v for key, v in asdict(figure).items() if v is not None}
+            for figure in scenario.figures
+        ],
+    }
+
+
+def _annotation(parent: etree._Element, kind: str) -> etree._Element:
+    """A new annotation of an element; they come last in it."""
+    annotations = parent.find(tag("ssd:Annotations"))
+    if annotations is None:
+        annotations = _add(parent, "ssd:Annotations")
+    return _add(annotations, "ssc:Annotation", type=kind)
+
+
+def _document(root: etree._Element) -> bytes:
+    text: bytes = etree.tostring(root, xml_declaration=True, encoding="UTF-8", pretty_print=True)
+    return text

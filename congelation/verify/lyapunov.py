@@ -1,0 +1,99 @@
+"""The Lyapunov certificate of a run, along its recorded trajectory.
+
+The certificate holds the congealed parameters ell, any point that theta(t) keeps within delta of;
+here it is the centre of the box that theta(t) fills.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.errors import InvalidInput
+from congelation.scenario.scenario import Case
+from congelation.verify.certify import certificate_of
+from congelation.verify.reference import Reference, reference
+
+__all__ = ["MOST_ROWS", "Along", "along", "center", "loop_states"]
+
+Floats = npt.NDArray[np.float64]
+
+MOST_ROWS = 1000
+"""Rows at which the certificate is evaluated: it takes 20 us at each, a run has 100,000."""
+
+
+@dataclass(frozen=True)
+class Along:
+    """The certificate at some rows of a run.
+
+    Parameters
+    ----------
+    time : ndarray, shape (K,)
+        Seconds.
+    V : ndarray, shape (K,)
+        The Lyapunov function.
+    margin : ndarray, shape (K,)
+        The largest V' that the radii allow plus the claimed rate of decay, relative to the sum of
+        the magnitudes of their terms: positive, beyond rounding, where the claim fails.
+    """
+
+    time: Floats
+    V: Floats
+    margin: Floats
+
+    @property
+    def worst(self) -> float:
+        """The largest margin."""
+        return float(np.max(self.margin))
+
+
+def loop_states(case: Case) -> tuple[str, ...]:
+    """The states of the closed loop of a case, as ``component.variable``.
+
+    Raises
+    ------
+    InvalidInput
+        If the system is no loop of a plant and its controller, both from build_fmu.py.
+    """
+    return reference(case).state_names
+
+
+def along(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> Along:
+    """Evaluate the certificate along a run, at `MOST_ROWS` rows or fewer.
+
+    Parameters
+    ----------
+    case : Case
+    time : ndarray, shape (N,)
+    columns : sequence of str
+        M names, `loop_states` among them.
+    values : ndarray, shape (N, M)
+
+    Raises
+    ------
+    InvalidInput
+        If the system is no loop of a plant and its controller, both from build_fmu.py.
+    """
+    found = reference(case)
+    certificate = certificate_of(found.loop)
+    rows = np.linspace(0, len(time) - 1, min(len(time), MOST_ROWS)).round().astype(int)
+    picked = [columns.index(name) for name in found.state_names]
+    states = values[rows][:, picked]
+    margins = certificate.along(states, center(found))
+    return Along(
+        time[rows],
+        np.array([margin.V for margin in margins]),
+        np.array([margin.relative for margin in margins]),
+    )
+
+
+def center(found: Reference) -> Floats:
+    """The centre of the box that theta(t) fills."""
+    bounds = [profile.bounds() for profile in found.profiles]
+    if not np.isfinite(bounds).all():
+        raise InvalidInput("theta(t) has no bounds")
+    middle: Floats = np.mean(bounds, axis=1) + np.array(found.offsets)
+    return middle

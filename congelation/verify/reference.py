@@ -1,0 +1,274 @@
+"""Verification: the closed loop of a run solved as one differential equation, by other means.
+
+Every FMU of build_fmu.py carries the structure that its equations were derived from, in
+``resources/spec.json``. From it the theory derives plant and controller anew, closes the loop
+without any co-simulation, and scipy solves it to 1e-10, stopping at every jump of theta(t).
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import zipfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, cast
+
+import fmpy
+import numpy as np
+import numpy.typing as npt
+
+from congelation.cosim.system import Component, System
+from congelation.errors import CongelationError, InvalidInput
+from congelation.export.forms import models_of
+from congelation.export.interface import start_names
+from congelation.results.records import Trajectory
+from congelation.scenario.scenario import Case
+from congelation.scenario.start_values import Scalar
+from congelation.signals import Profile
+from congelation.signals import Segment as Piece
+from congelation.theory.closed_loop import ClosedLoop, Segment, close
+from congelation.theory.model import Model
+
+__all__ = ["LARGEST_DEVIATION", "Deviation", "Reference", "compare", "reference"]
+
+Floats = npt.NDArray[np.float64]
+
+LARGEST_DEVIATION = 1e-3
+"""A co-simulation further than this from the monolithic solution, relative to a variable's peak,
+does not count as a solution of the loop: such a curve differs visibly in print."""
+
+_ROLES = ("plant", "controller")
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """The largest error of one variable of a run.
+
+    Parameters
+    ----------
+    variable : str
+        ``component.variable``.
+    error : float
+        max_t |co-simulated - monolithic|.
+    relative : float
+        `error` divided by max_t |monolithic|.
+    """
+
+    variable: str
+    error: float
+    relative: float
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The loop of a run as one differential equation, with everything that its solution needs.
+
+    Attributes
+    ----------
+    plant, controller : str
+        Names of the components.
+    loop : ClosedLoop
+    profiles : tuple of Profile
+        theta(t), component by component, without the constants dtheta.
+    offsets : tuple of float
+        The constants dtheta.
+    segments : tuple of Segment
+        theta(t) from the start time to the stop time.
+    start : ndarray
+        Start values of the loop's states.
+    """
+
+    plant: str
+    controller: str
+    loop: ClosedLoop
+    profiles: tuple[Profile, ...]
+    offsets: tuple[float, ...]
+    segments: tuple[Segment, ...]
+    start: Floats
+
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """The loop's states as ``component.variable``."""
+        return tuple(self._name(name) for name in self.loop.state_names)
+
+    def solve(self, times: Floats) -> dict[str, Floats]:
+        """The solution at increasing `times`: the values of each ``component.variable``.
+
+        Raises
+        ------
+        CongelationError
+            If the solver gives up.
+        """
+        solution = self.loop.solve(self.segments, self.start, times)
+        if not solution.success:
+            raise CongelationError(f"the monolithic solution stopped: {solution.message}")
+        names = (*self.loop.state_names, *self.loop.output_names)
+        return {
+            self._name(name): values
+            for name, values in zip(names, (*solution.states.T, *solution.outputs.T), strict=True)
+        }
+
+    def _name(self, name: str) -> str:
+        side, _, variable = name.partition(".")
+        return f"{self.plant if side == 'plant' else self.controller}.{variable}"
+
+
+def reference(case: Case) -> Reference:
+    """Derive the loop of a run anew.
+
+    Raises
+    ------
+    InvalidInput
+        If the system is no loop of a plant and its controller, both from build_fmu.py.
+    """
+    plant, controller = _loop_members(case.system)
+    models = _models(plant, controller)
+    _check_loop(case.system, plant, controller, models)
+    values = {component.name: _values(component) for component in (plant, controller)}
+    loop = close(*models, _parameters(models[1], values[controller.name]))
+    states = {
+        state.variables.name: [
+            float(values[c.name][name]) for name in start_names(state, c is plant)
+        ]
+        for c, model in zip((plant, controller), models, strict=True)
+        for state in model.states
+    }
+    profiles, offsets = _theta(values[plant.name])
+    segments = _segments(case, profiles, offsets)
+    return Reference(
+        plant.name,
+        controller.name,
+        loop,
+        tuple(profiles),
+        tuple(offsets),
+        segments,
+        loop.start(states),
+    )
+
+
+def compare(found: Reference, trajectory: Trajectory) -> tuple[Deviation, ...]:
+    """The deviation of each recorded variable that the loop determines.
+
+    Raises
+    ------
+    CongelationError
+        If the monolithic solution cannot be found.
+    """
+    time = np.unique(trajectory.time)
+    rows = np.searchsorted(time, trajectory.time)
+    exact = found.solve(time)
+    return tuple(
+        _deviation(column, trajectory.select((column,))[:, 0], exact[column][rows])
+        for column in trajectory.columns
+        if column in exact
+    )
+
+
+def _deviation(variable: str, values: Floats, exact: Floats) -> Deviation:
+    error, peak = float(np.max(np.abs(values - exact))), float(np.max(np.abs(exact)))
+    if error == 0.0:
+        return Deviation(variable, 0.0, 0.0)
+    return Deviation(variable, error, error / peak if peak > 0.0 else math.inf)
+
+
+def _loop_members(system: System) -> tuple[Component, Component]:
+    roles = {_spec(component)["role"]: component for component in system.components}
+    if len(system.components) != 2 or set(roles) != set(_ROLES):
+        names = ", ".join(component.name for component in system.components)
+        raise InvalidInput(f"a plant and its controller are needed, not {names}")
+    return roles["plant"], roles["controller"]
+
+
+def _spec(component: Component) -> dict[str, Any]:
+    """The spec that the component's FMU was built from."""
+    try:
+        with zipfile.ZipFile(component.fmu) as archive:
+            spec: dict[str, Any] = json.loads(archive.read("resources/spec.json"))
+    except KeyError as error:
+        raise InvalidInput(
+            f"{component.fmu.name} has no resources/spec.json; only FMUs of build_fmu.py have one"
+        ) from error
+    return spec
+
+
+def _models(plant: Component, controller: Component) -> tuple[Model, Model]:
+    specs = [_spec(plant), _spec(controller)]
+    if len({json.dumps([s["form"], s["structure"]], sort_keys=True) for s in specs}) > 1:
+        raise InvalidInput(f"{plant.name} and {controller.name} are of different specs")
+    return models_of(specs[0]["form"], specs[0]["structure"])
+
+
+def _values(component: Component) -> dict[str, Scalar]:
+    """The value of every variable that starts with one: given, or else the FMU's own."""
+    description = fmpy.read_model_description(str(component.fmu), validate=False)
+    own = {
+        v.name: _typed(v.type, v.start) for v in description.modelVariables if v.start is not None
+    }
+    return {**own, **cast(Mapping[str, Scalar], component.start)}  # flat in every scenario
+
+
+def _typed(kind: str, text: str) -> Scalar:
+    if kind == "Boolean":
+        return text in ("true", "1")
+    if kind == "Integer":
+        return int(text)
+    return text if kind == "String" else float(text)
+
+
+def _check_loop(
+    system: System, plant: Component, controller: Component, models: tuple[Model, Model]
+) -> None:
+    """The monolithic loop connects equal names both ways; the system has to do just that."""
+    ends = ((controller, plant, models[0]), (plant, controller, models[1]))
+    wanted = {
+        f"{source.name}.{name} -> {target.name}.{name}"
+        for source, target, model in ends
+        for entry in model.inputs
+        for name in entry.variables.names
+    }
+    given = {link.name for link in system.resolve().links}
+    for name in sorted(wanted ^ given):
+        verb = "is missing" if name in wanted else "is none of the loop's"
+        raise InvalidInput(f"connection '{name}' {verb}")
+
+
+def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]:
+    return {
+        p.variables.name: np.array([float(values[n]) for n in p.variables.names])
+        for p in model.parameters
+    }
+
+
+def _segments(
+    case: Case, profiles: Sequence[Profile], offsets: Sequence[float]
+) -> tuple[Segment, ...]:
+    """theta(t) on the smooth pieces between the jumps of any of its components."""
+    stop = case.experiment.stop_time
+    segments, time = [], case.experiment.start_time
+    while time < stop:
+        pieces = [profile.segment(time) for profile in profiles]
+        end = min([piece.end for piece in pieces] + [stop])
+        segments.append(Segment(time, end, partial(_theta_at, pieces, offsets)))
+        time = end
+    return tuple(segments)
+
+
+def _theta(values: Mapping[str, Scalar]) -> tuple[list[Profile], list[float]]:
+    """The profile of each component of theta, and the constant that is added to it."""
+    profiles: list[Profile] = []
+    offsets: list[float] = []
+    for j in itertools.count(1):
+        prefix = f"profile[{j}]."
+        flat = {k.removeprefix(prefix): v for k, v in values.items() if k.startswith(prefix)}
+        if not flat:
+            break
+        profiles.append(Profile.from_flat(flat))
+        offsets.append(float(values.get(f"dtheta[{j}]", 0.0)))
+    return profiles, offsets
+
+
+def _theta_at(pieces: Sequence[Piece], offsets: Sequence[float], t: float) -> list[float]:
+    return [piece.value(t) + offset for piece, offset in zip(pieces, offsets, strict=True)]

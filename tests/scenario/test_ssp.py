@@ -1,0 +1,398 @@
+"""SSP archives: what is written is valid and read back as it was; what is wrong is said."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import fmpy
+import numpy as np
+import pytest
+from fmpy.ssp.ssd import read_ssd
+from lxml import etree
+
+from congelation.cosim.system import System
+from congelation.errors import InvalidInput
+from congelation.results.store import Store
+from congelation.scenario.load import load_scenario
+from congelation.scenario.scenario import Scenario
+from congelation.scenario.ssp import read_ssp, write_ssp
+from congelation.sweep.run import run_scenario
+from tests.cli.test_cli import congelation, one_line
+from tests.scenarios import FMUS, SCALAR, SHIPPED, write
+
+SSD = "SystemStructure.ssd"
+SSV = "resources/plant.ssv"
+
+
+@pytest.fixture
+def archive(tmp_path: Path) -> Path:
+    """A valid archive: the scalar loop, Controller 1."""
+    file = tmp_path / "loop.ssp"
+    write_ssp(load_scenario(write(tmp_path)), file)
+    return file
+
+
+def contents(file: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(file) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def pack(file: Path, entries: Mapping[str, bytes]) -> Path:
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in entries.items():
+            archive.writestr(name, content)
+    return file
+
+
+def changed(file: Path, name: str, *changes: tuple[str, str]) -> Path:
+    """A copy of an archive with every change (old, new) made to one of its files."""
+    entries = contents(file)
+    text = entries[name].decode()
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    return pack(file.with_name("changed.ssp"), {**entries, name: text.encode()})
+
+
+def without_annotations(file: Path) -> Path:
+    """A copy of an archive as another tool might have written it."""
+    entries = contents(file)
+    root = etree.fromstring(entries[SSD])
+    for element in root.findall(".//{*}Annotations"):
+        element.getparent().remove(element)
+    return pack(file.with_name("plain.ssp"), {**entries, SSD: etree.tostring(root)})
+
+
+def start(scenario: Scenario, component: str) -> Mapping[str, object]:
+    return next(c.start for c in scenario.system.components if c.name == component)
+
+
+def links(system: System) -> list[str]:
+    resolved = system.resolve()
+    return [link.name for link in (*resolved.links, *resolved.discrete_links)]
+
+
+@pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
+def test_what_is_written_is_valid_and_read_back_as_it_was(file: Path, tmp_path: Path) -> None:
+    scenario = load_scenario(file)
+    schemas = Path(fmpy.__file__).parent / "ssp" / "schema"
+    for variant in scenario.variants:
+        target = tmp_path / f"{file.stem}.ssp"
+        write_ssp(scenario, target, variant.name)
+        for name, content in contents(target).items():
+            kinds = {".ssd": "SystemStructureDescription", ".ssv": "SystemStructureParameterValues"}
+            if Path(name).suffix in kinds:
+                schema = etree.XMLSchema(file=schemas / f"{kinds[Path(name).suffix]}.xsd")
+                schema.assertValid(etree.fromstring(content))
+        again = read_ssp(target)
+        expected = scenario.case(variant.settings)
+        found = again.case(again.variants[0].settings)
+        assert found.experiment == expected.experiment
+        for component, other in zip(
+            expected.system.components, found.system.components, strict=True
+        ):
+            assert (other.name, dict(other.start)) == (component.name, dict(component.start))
+            assert other.fmu.read_bytes() == component.fmu.read_bytes()
+        assert links(found.system) == links(expected.system)
+        assert [v.name for v in again.variants] == [variant.name]
+        assert again.title == scenario.title
+        assert again.metrics == scenario.metrics
+        assert again.figures == scenario.figures
+
+
+def test_an_archive_runs_as_its_scenario_does(archive: Path, tmp_path: Path) -> None:
+    here = run_scenario(load_scenario(tmp_path / "loop.toml"), tmp_path / "toml")
+    there = run_scenario(read_ssp(archive), tmp_path / "ssp")
+
+    def first(store: Store) -> tuple[dict[str, object], np.ndarray]:
+        row = store.read().rows[0]
+        return row, store.trajectory(row["run_id"]).values
+
+    (row, values), (other_row, other_values) = first(here), first(there)
+    assert row["status"] == "COMPLETED"
+    assert np.array_equal(values, other_values)
+    for column in ("variant", "peak_x", "settling_x", "plant.sha256", "controller.sha256"):
+        assert row[column] == other_row[column]
+
+
+def test_equal_scenarios_give_equal_bytes(archive: Path, tmp_path: Path) -> None:
+    before = archive.read_bytes()
+    write_ssp(load_scenario(tmp_path / "loop.toml"), archive, "Controller 1")
+    assert archive.read_bytes() == before
+    write_ssp(load_scenario(tmp_path / "loop.toml"), archive, "Controller 2")
+    assert archive.read_bytes() != before
+
+
+def test_another_tool_finds_components_connectors_and_parameters(archive: Path) -> None:
+    system = read_ssd(str(archive)).system
+    connectors = {c.name: {k.name: k.kind for k in c.connectors} for c in system.elements}
+    assert connectors == {
+        "plant": {"u": "input", "x": "output"},
+        "controller": {"x": "input", "u": "output", "theta_hat[1]": "output"},
+    }
+    sets = [c.parameterBindings[0].parameterValues[0] for c in system.elements]
+    assert {s.name for s in sets} == {"initialValues"}
+    assert {p.name: p.value for p in sets[1].parameters}["damping"] == "true"
+
+
+def test_derivatives_are_connected_on_request(archive: Path, tmp_path: Path) -> None:
+    write_ssp(load_scenario(tmp_path / "loop.toml"), archive, derivatives=True)
+    ends = {
+        (c.startElement, c.startConnector, c.endElement, c.endConnector)
+        for c in read_ssd(str(archive)).system.connections
+    }
+    assert ends == {
+        ("plant", "x", "controller", "x"),
+        ("controller", "u", "plant", "u"),
+        ("plant", "der(x)", "controller", "der(x)"),
+        ("controller", "der(u)", "plant", "der(u)"),
+    }
+    assert links(read_ssp(archive).system) == links(
+        load_scenario(tmp_path / "loop.toml").system
+    )  # the master connects derivatives by itself
+
+
+def test_a_table_travels_with_the_archive(tmp_path: Path) -> None:
+    table = tmp_path / "theta.csv"
+    table.write_text("time,theta\n0,-3\n0.4,-2\n1,-3\n")
+    old = "{constant = -3.0}, {square = {amplitude = 0.4, period = 0.3}}"
+    scenario = load_scenario(
+        write(tmp_path, SCALAR, (old, '{table = {file = "theta.csv", linear = true}}'))
+    )
+    expected = run_scenario(scenario, tmp_path / "toml").read().rows[0]
+    write_ssp(scenario, tmp_path / "loop.ssp")
+    table.unlink()
+    found = run_scenario(read_ssp(tmp_path / "loop.ssp"), tmp_path / "ssp").read().rows[0]
+    assert found["status"] == "COMPLETED"
+    assert found["peak_x"] == expected["peak_x"]
+
+
+def test_files_of_one_name_are_kept_apart(tmp_path: Path) -> None:
+    (tmp_path / "other").mkdir()
+    other = tmp_path / "other" / "ScalarController.fmu"
+    other.write_bytes((FMUS / "ScalarPlant.fmu").read_bytes())
+    extra = (
+        "[experiment]",
+        f"[components.twin]\nfmu = '{other}'\n[components.twin.start]\nx0 = [0.5]\n[experiment]",
+    )
+    write_ssp(load_scenario(write(tmp_path, SCALAR, extra)), tmp_path / "loop.ssp")
+    found = {c.name: c.fmu for c in read_ssp(tmp_path / "loop.ssp").system.components}
+    assert found["twin"].read_bytes() == found["plant"].read_bytes()
+    assert found["controller"].read_bytes() == (FMUS / "ScalarController.fmu").read_bytes()
+    assert start(read_ssp(tmp_path / "loop.ssp"), "twin") == {"x0[1]": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("variant", "name", "text"),
+    [
+        ("Controler 1", "loop.ssp", "no variant 'Controler 1'; did you mean 'Controller 1'?"),
+        (None, "loop.zip", "the name of an SSP archive ends in .ssp"),
+    ],
+)
+def test_what_cannot_be_written(tmp_path: Path, variant: str | None, name: str, text: str) -> None:
+    with pytest.raises(InvalidInput, match=re.escape(text)):
+        write_ssp(load_scenario(write(tmp_path)), tmp_path / name, variant)
+    assert not (tmp_path / name).exists()
+
+
+def test_archives_of_other_tools_are_run_to_a_tolerance(archive: Path) -> None:
+    scenario = read_ssp(without_annotations(archive))
+    experiment = scenario.case({}).experiment
+    assert (experiment.stop_time, experiment.step, experiment.tolerance) == (1.0, None, 1e-6)
+    assert [v.name for v in scenario.variants] == ["plain"]
+    assert scenario.title == "A short loop"
+    assert "plant.x" in experiment.record
+
+
+def test_fmus_that_cannot_step_back_are_run_in_fixed_steps(archive: Path, tmp_path: Path) -> None:
+    plain = without_annotations(archive)
+    fmu = tmp_path / "ScalarPlant.fmu"
+    fmu.write_bytes(contents(plain)["resources/ScalarPlant.fmu"])
+    entries = contents(fmu)
+    xml = entries["modelDescription.xml"]
+    assert b'canGetAndSetFMUstate="true"' in xml
+    entries["modelDescription.xml"] = xml.replace(
+        b'canGetAndSetFMUstate="true"', b'canGetAndSetFMUstate="false"'
+    )
+    pack(fmu, entries)
+    file = pack(plain, {**contents(plain), "resources/ScalarPlant.fmu": fmu.read_bytes()})
+    experiment = read_ssp(file).case({}).experiment
+    assert (experiment.coupling, experiment.step, experiment.tolerance) == ("jacobi", 1e-3, None)
+
+
+def test_the_kinds_of_the_connectors_tell_the_direction(archive: Path) -> None:
+    turned = changed(
+        archive,
+        SSD,
+        (
+            'startElement="plant" startConnector="x" endElement="controller" endConnector="x"',
+            'startElement="controller" startConnector="x" endElement="plant" endConnector="x"',
+        ),
+    )
+    assert links(read_ssp(turned).system) == links(read_ssp(archive).system)
+
+
+def test_connections_with_the_surroundings_are_left_open(archive: Path) -> None:
+    outer = '<ssd:Connection startElement="plant" startConnector="x" endConnector="x"/>'
+    opened = changed(archive, SSD, ("<ssd:Connections>", f"<ssd:Connections>{outer}"))
+    assert links(read_ssp(opened).system) == links(read_ssp(archive).system)
+
+
+def test_parameters_by_the_rules_of_ssp(archive: Path) -> None:
+    """Later bindings win, the system's over the component's; unknown names are ignored."""
+
+    def values(pairs: Mapping[str, float]) -> str:
+        parameters = "".join(
+            f'<ssv:Parameter name="{n}"><ssv:Real value="{v}"/></ssv:Parameter>'
+            for n, v in pairs.items()
+        )
+        return (
+            '<ssd:ParameterValues><ssv:ParameterSet version="1.0" name="inline">'
+            f"<ssv:Parameters>{parameters}</ssv:Parameters></ssv:ParameterSet>"
+            "</ssd:ParameterValues>"
+        )
+
+    def binding(pairs: Mapping[str, float], prefix: str = "") -> str:
+        return f'<ssd:ParameterBinding prefix="{prefix}">{values(pairs)}</ssd:ParameterBinding>'
+
+    own = '<ssd:ParameterBinding source="resources/controller.ssv"/>'
+    later = binding({"epsilon": 0.4, "k_bar": 0.6, "nothing": 1.0})
+    of_system = binding({"k_bar": 0.7, "nobody": 2.0}, prefix="controller.")
+    file = changed(
+        archive,
+        SSD,
+        (own, own + later),
+        (
+            "<ssd:Elements>",
+            f"<ssd:ParameterBindings>{of_system}</ssd:ParameterBindings><ssd:Elements>",
+        ),
+    )
+    expected = {**start(read_ssp(archive), "controller"), "epsilon": 0.4, "k_bar": 0.7}
+    assert start(read_ssp(file), "controller") == expected
+
+
+def test_a_unit_has_to_be_the_fmus(archive: Path) -> None:
+    def in_unit(unit: str) -> Path:
+        return changed(
+            archive, SSV, ('<ssv:Real value="0.3"/>', f'<ssv:Real value="0.3" unit="{unit}"/>')
+        )
+
+    assert start(read_ssp(in_unit("s")), "plant") == start(read_ssp(archive), "plant")
+    with pytest.raises(InvalidInput, match=r"unit = 'min' is not the unit of .*; give 's'"):
+        read_ssp(in_unit("min"))
+
+
+CONNECTION = 'startElement="plant" startConnector="x" endElement="controller" endConnector="x"/>'
+COMPONENT = 'source="resources/ScalarPlant.fmu"'
+BINDING = '<ssd:ParameterBinding source="resources/plant.ssv"'
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "text"),
+    [
+        (SSD, 'kind="input"', 'kind="inputt"', "SystemStructure.ssd, line 7: Element "),
+        (SSD, "</ssd:System>", "", "SystemStructure.ssd: no XML: "),
+        (SSV, '<ssv:Real value="1.0"/>', '<ssv:Real value="one"/>', "resources/plant.ssv, line "),
+        (SSD, COMPONENT, 'source="resources/Plant.fmu"', "component 'plant': there is no 'reso"),
+        (SSD, COMPONENT, 'source="../loop.toml"', "component 'plant': there is no '../loop.toml'"),
+        (
+            SSD,
+            COMPONENT,
+            COMPONENT + ' type="application/x-ssp-package"',
+            "component 'plant' is no FMU",
+        ),
+        (SSD, '"controller" source', '"plant" source', "component 'plant' is given twice"),
+        (
+            SSD,
+            "</ssd:Elements>",
+            '<ssd:System name="inner"/></ssd:Elements>',
+            "component 'inner' is no FMU; only systems of FMUs can be run",
+        ),
+        (
+            SSD,
+            CONNECTION,
+            CONNECTION.replace('"x"', '"y"', 1),
+            "connection 'plant.y -> controller.x': no connector 'plant.y'; did you mean 'plant.x'?",
+        ),
+        (
+            SSD,
+            CONNECTION,
+            CONNECTION[:-2] + '><ssc:LinearTransformation factor="2"/></ssd:Connection>',
+            "connection 'plant.x -> controller.x': a transformation; put it into an FMU",
+        ),
+        (
+            SSD,
+            CONNECTION,
+            CONNECTION.replace('"plant" startConnector="x"', '"plant" startConnector="u"'),
+            "connection 'plant.u -> controller.x': give an output and an input",
+        ),
+        (
+            SSD,
+            BINDING,
+            BINDING + ' type="text/csv"',
+            "component 'plant': parameters of type 'text/csv'",
+        ),
+        (
+            SSD,
+            BINDING,
+            BINDING + ' sourceBase="component"',
+            "component 'plant': parameters inside of",
+        ),
+        (
+            SSD,
+            BINDING + "/>",
+            BINDING + "><ssd:ParameterMapping/></ssd:ParameterBinding>",
+            "component 'plant': a parameter mapping",
+        ),
+        (SSD, BINDING, BINDING.replace("plant.ssv", "p.ssv"), "there is no 'resources/p.ssv'"),
+        (SSV, '<ssv:Real value="1.0"/>', '<ssv:Binary value="00"/>', "is a value of type Binary"),
+        (SSV, '<ssv:Real value="1.0"/>', '<ssv:String value="1"/>', "'1' given, a number needed"),
+        (SSD, '"title": ', '"title ', "annotation 'congelation': no JSON"),
+        (SSD, '"metrics": {', '"metrix": {', "metrix is not known here; did you mean 'metrics'?"),
+        (SSD, '"coupling": "derivative"', '"coupling": "jacoby"', "experiment.coupling"),
+    ],
+)
+def test_what_cannot_be_read_is_said_in_one_line(
+    archive: Path, name: str, old: str, new: str, text: str
+) -> None:
+    file = changed(archive, name, (old, new))
+    with pytest.raises(InvalidInput) as caught:
+        read_ssp(file)
+    assert text in str(caught.value)
+    assert str(caught.value).startswith(str(file))
+    assert "\n" not in str(caught.value)
+
+
+def test_what_is_no_archive(archive: Path, tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match="no such file; give the path of an SSP archive"):
+        read_ssp(tmp_path / "absent.ssp")
+    archive.write_bytes(archive.read_bytes()[:-100])
+    with pytest.raises(InvalidInput, match="is no SSP archive: File is not a zip file"):
+        read_ssp(archive)
+    with pytest.raises(InvalidInput, match=r"no 'SystemStructure\.ssd' in the archive"):
+        read_ssp(pack(archive, {"readme.txt": b""}))
+
+
+def test_a_stop_time_is_needed(archive: Path) -> None:
+    file = changed(without_annotations(archive), SSD, (' stopTime="1.0"', ""))
+    with pytest.raises(InvalidInput, match="DefaultExperiment: stopTime is missing"):
+        read_ssp(file)
+
+
+def test_the_commands(tmp_path: Path) -> None:
+    write(tmp_path)
+    done = congelation(
+        "export-ssp", "loop.toml", "c2.ssp", "--variant", "Controller 2", folder=tmp_path
+    )
+    assert (done.returncode, done.stdout) == (0, "c2.ssp\n"), done.stderr
+    done = congelation("run", "c2.ssp", folder=tmp_path)
+    assert done.returncode == 0, done.stderr
+    assert "Controller 2" in done.stdout
+    assert "peak_x" in done.stdout
+    assert (tmp_path / "results" / "c2" / "runs.parquet").is_file()
+    assert (tmp_path / "results" / "c2" / "figures" / "loop.png").is_file()
+    line = one_line(congelation("run", "absent.ssp", folder=tmp_path), 2)
+    assert line.startswith("congelation: absent.ssp: no such file")

@@ -1,0 +1,180 @@
+"""Verification: the monolithic solution agrees with good runs, and tells bad ones apart."""
+
+from __future__ import annotations
+
+import math
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from congelation.cosim.pool import SlavePool
+from congelation.errors import InvalidInput
+from congelation.results.records import Trajectory
+from congelation.scenario.load import load_scenario
+from congelation.sweep.execute import execute
+from congelation.sweep.plan import plan_runs
+from congelation.sweep.run import run_scenario
+from congelation.verify.reference import LARGEST_DEVIATION, Deviation, compare, reference
+from tests.scenarios import FMUS, ROOT, SCALAR, write
+
+SET_1 = '{"controller.damping" = true}'
+
+
+def deviations(file: Path, variant: int = 0) -> tuple[Deviation, ...]:
+    scenario = load_scenario(file)
+    run = list(plan_runs(scenario))[variant]
+    with SlavePool() as pool:
+        row, trajectory = execute(run, scenario, pool)
+    assert row["status"] == "COMPLETED", row["message"]
+    return compare(reference(run.case), trajectory)
+
+
+def shortened(folder: Path, name: str, stop: float, step: float) -> Path:
+    """A shipped scenario over a shorter time and with another step."""
+    lines = (ROOT / "scenarios" / f"{name}.toml").read_text().splitlines()
+    changed = {"stop_time": f"stop_time = {stop}", "step": f"step = {step}"}
+    lines = [changed.get(line.partition(" =")[0], line) for line in lines]
+    return write(folder, "\n".join(lines))
+
+
+@pytest.mark.parametrize("variant", [0, 1])
+def test_fig2_agrees_at_the_step_of_the_scenario(tmp_path: Path, variant: int) -> None:
+    found = deviations(shortened(tmp_path, "fig2", 1.5, 1e-4), variant)
+    assert {d.variable for d in found} == {
+        *("plant.x[1]", "plant.x[2]", "controller.u", "controller.z[1]", "controller.z[2]"),
+        *("controller.theta_hat[1]", "controller.theta_hat[2]"),
+    }
+    assert max(d.relative for d in found) < LARGEST_DEVIATION
+
+
+@pytest.mark.parametrize(
+    ("name", "step", "stop"), [("fig2", 4e-4, 0.5), ("fig3", 2e-3, 0.6), ("scalar", 2e-3, 0.6)]
+)
+def test_halving_the_step_divides_the_error_by_four(
+    tmp_path: Path, name: str, step: float, stop: float
+) -> None:
+    coarse = deviations(shortened(tmp_path, name, stop, step))
+    fine = deviations(shortened(tmp_path, name, stop, step / 2))
+    for a, b in zip(coarse, fine, strict=True):
+        assert 3.2 < a.error / b.error < 4.8, a.variable
+
+
+def test_states_inside_the_controller_are_compared_too(tmp_path: Path) -> None:
+    file = shortened(tmp_path, "fig3_r11", 1.0, 5e-4)
+    text = file.read_text().replace('"plant.y",', '"controller.eta", "controller.lambda",')
+    found = deviations(write(tmp_path, text))
+    names = {d.variable for d in found}
+    assert {"controller.eta[1]", "controller.lambda[2]", "controller.rho_hat"} <= names
+    assert max(d.relative for d in found) < LARGEST_DEVIATION
+
+
+def test_start_values_offsets_and_start_time_are_those_of_the_run(tmp_path: Path) -> None:
+    found = deviations(
+        write(
+            tmp_path,
+            SCALAR,
+            ("x0 = [1.0]", 'x0 = [-2.0], "dtheta[1]" = 0.7'),
+            ("stop_time = 1.0", "stop_time = 1.55\nstart_time = 0.55"),
+            ("step = 0.01", "step = 0.001"),
+            (SET_1, '{"controller.damping" = true, "controller.theta_hat0" = [-1.5]}'),
+        )
+    )
+    assert max(d.relative for d in found) < 1e-5
+
+
+def test_a_wrong_trajectory_is_told(tmp_path: Path) -> None:
+    scenario = load_scenario(write(tmp_path))
+    run = next(plan_runs(scenario))
+    with SlavePool() as pool:
+        trajectory = execute(run, scenario, pool)[1]
+    values = trajectory.values.copy()
+    values[50, 0] += 0.25
+    wrong: Trajectory = replace(trajectory, values=values)
+    found = {d.variable: d for d in compare(reference(run.case), wrong)}
+    assert found["plant.x"].error == pytest.approx(0.25, abs=1e-3)
+    assert found["plant.x"].relative == pytest.approx(0.25, abs=1e-3)  # the peak is x(0) = 1
+    assert found["controller.u"].relative < 1e-3
+
+
+def test_a_variable_that_stays_at_zero_has_no_relative_error(tmp_path: Path) -> None:
+    found = deviations(write(tmp_path, SCALAR, ("x0 = [1.0]", "x0 = [0.0]")))
+    assert [d.relative for d in found] == [0.0, 0.0, 0.0]
+    scenario = load_scenario(tmp_path / "loop.toml")
+    zero = np.zeros((2, 1))
+    trajectory = Trajectory(np.array([0.0, 1.0]), ("plant.x",), zero + 1e-3, {})
+    (found_,) = compare(reference(next(plan_runs(scenario)).case), trajectory)
+    assert (found_.error, found_.relative) == (1e-3, math.inf)
+
+
+def without_spec(folder: Path) -> Path:
+    """A copy of ScalarController.fmu as another tool might have made it."""
+    with (
+        zipfile.ZipFile(FMUS / "ScalarController.fmu") as source,
+        zipfile.ZipFile(folder / "Other.fmu", "w") as target,
+    ):
+        for item in source.infolist():
+            if item.filename != "resources/spec.json":
+                target.writestr(item, source.read(item))
+    return folder / "Other.fmu"
+
+
+CONTROLLER = f'"{FMUS}/ScalarController.fmu"'
+MISTAKES = {
+    "no spec": (CONTROLLER, "OTHER", "Other.fmu has no resources/spec.json; only FMUs of build_f"),
+    "open loop": (
+        ', "controller.u -> plant.u"',
+        "",
+        "connection 'controller.u -> plant.u' is missing",
+    ),
+    "two plants": (
+        "[experiment]",
+        f'[components.other]\nfmu = "{FMUS}/ScalarPlant.fmu"\n[experiment]',
+        "a plant and its controller are needed, not plant, controller, other",
+    ),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "message"), MISTAKES.values(), ids=MISTAKES)
+def test_what_cannot_be_verified_is_told_before_it_runs(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    new = new.replace("OTHER", f'"{without_spec(tmp_path)}"')
+    scenario = load_scenario(write(tmp_path, SCALAR, (old, new)))
+    with pytest.raises(InvalidInput) as told:
+        run_scenario(scenario, tmp_path / "out", verify=True)
+    assert message in str(told.value)
+    assert not list((tmp_path / "out").glob("*/*.parquet"))
+
+
+OTHERS = f"""
+title = "A plant and the controller of another"
+connections = ["plant.x -> controller.y", "controller.u -> plant.u"]
+components.plant.fmu = "{FMUS}/ScalarPlant.fmu"
+components.controller.fmu = "{FMUS}/OutputFeedbackController.fmu"
+experiment = {{stop_time = 1, step = 0.1}}
+"""
+
+
+def test_a_plant_and_the_controller_of_another_are_no_loop(tmp_path: Path) -> None:
+    scenario = load_scenario(write(tmp_path, OTHERS))
+    with pytest.raises(InvalidInput, match="plant and controller are of different specs"):
+        reference(scenario.case({}))
+
+
+def test_the_deviations_are_stored(tmp_path: Path) -> None:
+    scenario = load_scenario(write(tmp_path, SCALAR, (SET_1, '{"controller.epsilon" = -1.0}')))
+    with pytest.raises(InvalidInput, match=r"loop\.toml: Controller 1: epsilon = "):
+        run_scenario(scenario, tmp_path / "out", verify=True)
+    store = run_scenario(load_scenario(write(tmp_path)), tmp_path / "out", verify=True)
+    study = store.read()
+    for row in study.rows:
+        found = study.about["verification"][row["run_id"]]
+        assert [d["variable"] for d in found] == [
+            "plant.x",
+            "controller.theta_hat[1]",
+            "controller.u",
+        ]
+        assert all(d["relative"] < LARGEST_DEVIATION for d in found)
