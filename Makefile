@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.txt' -o -name '*.png') build_fmu.py
 
-.PHONY: help demo test test-fast fuzz check format bench fmus lock clean
+.PHONY: help demo test test-fast fuzz check format bench corpus fmus lock clean
 
 help:
 	@echo "make demo    Figs. 1-3 of the paper from FMUs, a sweep, and a page that links them all"
@@ -14,6 +14,7 @@ help:
 	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each"
 	@echo "make check   format, lint, types, import layers"
 	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
+	@echo "make corpus  check the public FMUs in the folder CORPUS=.. (docs/conformance.md)"
 	@echo "make fmus    build the FMUs into fmus/"
 	@echo "make format  put the sources into the format that make check asks for"
 	@echo "make lock    resolve the dependencies anew into requirements*.lock"
@@ -69,6 +70,16 @@ format: .venv/installed
 
 bench: fmus .venv-cofmupy/installed
 	$(BIN)/python -m benchmarks
+
+# The FMUs are fetched and built by the person who runs this; none of them is in the repository.
+corpus: .venv/installed
+	@test -d "$(CORPUS)" || { echo "CORPUS=.. names a folder with FMUs; docs/conformance.md says where they are from"; exit 2; }
+	@mkdir -p build/corpus
+	@find "$(CORPUS)" -name '*.fmu' | sort | while read -r fmu; do \
+		name=$$(basename "$$fmu" .fmu); \
+		$(BIN)/congelation check "$$fmu" --time-limit 15 --json "build/corpus/$$name.json" </dev/null \
+			| sed "s#^$(CORPUS)/##" | tee "build/corpus/$$name.txt"; \
+	done
 
 lock:
 	$(PYTHON) -m venv build/lock

@@ -141,11 +141,6 @@ LIMITS: tuple[Limit, ...] = (
         "Of the percent-encoded characters of a resource location only %20 is decoded.",
     ),
     Limit(
-        "PYTHONFMU-09",
-        "FMI2-STATE-05",
-        "fmi2GetStatus returns fmi2Error for every status, where fmi2Discard is due.",
-    ),
-    Limit(
         "PYTHONFMU-10",
         "FMI2-FMUSTATE-04",
         "fmi2FreeFMUstate leaves the freed pointer in its argument, where null is due.",

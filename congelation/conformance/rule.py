@@ -24,6 +24,7 @@ __all__ = [
     "DEFAULT_TIME_LIMIT",
     "MODEL_EXCHANGE",
     "NOT_RESTORED",
+    "STATE_NOT_RESTORED",
     "Breach",
     "DynamicRule",
     "Finding",
@@ -177,6 +178,8 @@ class DynamicRule(Rule):
 
 # The cause of whatever differs after fmi2Reset.
 NOT_RESTORED = "fmi2Reset does not restore all"
+# The cause of whatever differs after fmi2SetFMUstate.
+STATE_NOT_RESTORED = "the FMU state does not hold all"
 
 BY_ID: dict[str, Rule] = {}
 
@@ -328,6 +331,8 @@ def _cause(what: str) -> str:
     """What failed, if the text of a breach tells that other rules may meet the same; else ""."""
     if re.match(r"fmi2\w+\b.* returned ", what):
         return what
+    if re.match(r"(after setting it|from (a )?(state|handle)|after freeing another)\b.*: ", what):
+        return STATE_NOT_RESTORED
     return NOT_RESTORED if re.match(r"after .*\bfmi2Reset\b.*: ", what) else ""
 
 

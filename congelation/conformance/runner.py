@@ -352,6 +352,8 @@ class Checker:
 
     def _spawn(self, job: Job, limit: float) -> tuple[int | None, str]:
         """Run a child; its exit code, None if it had to be killed, and its last words."""
+        if self._stopped:
+            return None, ""
         root = str(Path(congelation.__file__).parents[1])
         paths = [root, *filter(None, [os.environ.get("PYTHONPATH")])]
         words = Path(job.scratch) / "stderr"
@@ -439,15 +441,17 @@ def _merged(verdicts: Sequence[Verdict]) -> tuple[Verdict, ...]:
     merged = list(verdicts)
     for key, places in groups.items():
 
-        def order(place: int, key: str = key) -> tuple[bool, int, int]:
+        def owner(place: int, key: str = key) -> bool:
             rule = verdicts[place].rule
-            owner = isinstance(rule, DynamicRule) and any(name in key for name in rule.owns)
-            return not owner, rule.level.weight, place
+            return isinstance(rule, DynamicRule) and any(name in key for name in rule.owns)
 
-        keeper = min(places, key=order)
+        found = [p for p, v in enumerate(verdicts) if v.outcome is Outcome.FOUND and owner(p)]
+        keeper = min(
+            {*places, *found}, key=lambda p: (p not in found, verdicts[p].rule.level.weight, p)
+        )
         for place in places:
             if place != keeper:
-                reason = f"{verdicts[keeper].breaches[0].what}, see {verdicts[keeper].rule.id}"
+                reason = f"{verdicts[place].breaches[0].what}, see {verdicts[keeper].rule.id}"
                 merged[place] = replace(
                     verdicts[place], outcome=Outcome.NOT_EVALUATED, breaches=(), reason=reason
                 )

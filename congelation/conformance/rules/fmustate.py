@@ -9,7 +9,7 @@ from congelation.conformance.bench import Bench
 from congelation.conformance.description import Value
 from congelation.conformance.instance import Instance
 from congelation.conformance.probe import shifted
-from congelation.conformance.rule import Level, NotApplicable, dynamic
+from congelation.conformance.rule import STATE_NOT_RESTORED, Level, NotApplicable, dynamic
 from congelation.conformance.trajectory import demand, excitation, excite, inputs, same
 
 __all__ = ["restore", "save"]
@@ -32,7 +32,7 @@ def restore(instance: Instance, state: c_void_p, where: str = "") -> None:
     demand(instance.set_state(state), f"fmi2SetFMUstate{where}")
 
 
-@dynamic("FMI2-FMUSTATE-01", "2.1.8", Level.VIOLATION)
+@dynamic("FMI2-FMUSTATE-01", "2.1.8", Level.VIOLATION, owns=(STATE_NOT_RESTORED,))
 def replay(bench: Bench) -> Iterator[str]:
     """From a state set again the simulation repeats itself, to the last bit.
 

@@ -11,7 +11,7 @@ from congelation.conformance.binding import Status
 from congelation.conformance.description import Variable
 from congelation.conformance.instance import Instance
 from congelation.conformance.probe import read, shifted
-from congelation.conformance.rule import NOT_RESTORED, Level, NotApplicable, dynamic
+from congelation.conformance.rule import NOT_RESTORED, Level, NotApplicable, Violated, dynamic
 from congelation.conformance.trajectory import demand, excite, inputs, observe, same
 
 __all__: list[str] = []
@@ -241,6 +241,38 @@ def status_inquiry(bench: Bench) -> Iterator[str]:
         raise NotApplicable("no step was discarded")
 
 
+@dynamic("FMI2-STATE-06", "2.2.7, 4.2.4", Level.VIOLATION)
+def inputs_settable(bench: Bench) -> Iterator[str]:
+    """Inputs can be set in Initialization Mode and at communication points, tunable parameters too.
+
+    Standard: note 6 of the table: fmi2SetXXX "for a variable with causality = input or (causality
+    = parameter and variability = tunable)"
+
+    Why: Inputs are what a master sets.
+
+    Remedy: Accept inputs and tunable parameters at communication points
+
+    Example: A tunable parameter that is refused after initialization.
+    """
+    description = bench.description
+    tunable = tuple(
+        v
+        for v in description.variables
+        if v.causality == "parameter" and v.variability == "tunable" and v.start is not None
+    )
+    if not tunable and not inputs(description):
+        raise NotApplicable("there are neither inputs nor tunable parameters")
+    with bench.held() as instance:
+        for point in (0, 1):
+            for v in tunable:
+                demand(
+                    instance.set(v.base, [v.reference], [v.start if v.start is not None else 0]),
+                    f"fmi2Set{v.base} of the tunable parameter {v.name}",
+                )
+            bench.run(instance, first=point, last=point + 1)
+    yield from ()
+
+
 @dynamic("FMI2-RESET-01", "2.1.6", Level.VIOLATION, owns=(NOT_RESTORED,))
 def reset_is_new(bench: Bench) -> Iterator[str]:
     """After fmi2Reset an instance does what a new one does, to the last bit.
@@ -339,7 +371,10 @@ def reset_after_failure(bench: Bench) -> Iterator[str]:
         if status in (Status.DISCARD, Status.ERROR):
             failed = True
             demand(instance.reset(), f"fmi2Reset after {what} ({status})")
-            found = bench.run(bench.initialize(instance))
+            try:
+                found = bench.run(bench.initialize(instance))
+            except Violated as breach:
+                raise Violated(f"after {what} ({status}) and fmi2Reset: {breach}") from None
             yield from bench.compare(found, f"after {what} ({status}) and fmi2Reset")
         if status != Status.FATAL:
             instance.free()
@@ -373,35 +408,3 @@ _FAILURES: Mapping[str, _Call] = {
     "a step of another size": _other_size,
     "a large step": _large,
 }
-
-
-@dynamic("FMI2-STATE-06", "2.2.7, 4.2.4", Level.VIOLATION)
-def inputs_settable(bench: Bench) -> Iterator[str]:
-    """Inputs can be set in Initialization Mode and at communication points, tunable parameters too.
-
-    Standard: note 6 of the table: fmi2SetXXX "for a variable with causality = input or (causality
-    = parameter and variability = tunable)"
-
-    Why: Inputs are what a master sets.
-
-    Remedy: Accept inputs and tunable parameters at communication points
-
-    Example: A tunable parameter that is refused after initialization.
-    """
-    description = bench.description
-    tunable = tuple(
-        v
-        for v in description.variables
-        if v.causality == "parameter" and v.variability == "tunable" and v.start is not None
-    )
-    if not tunable and not inputs(description):
-        raise NotApplicable("there are neither inputs nor tunable parameters")
-    with bench.held() as instance:
-        for point in (0, 1):
-            for v in tunable:
-                demand(
-                    instance.set(v.base, [v.reference], [v.start if v.start is not None else 0]),
-                    f"fmi2Set{v.base} of the tunable parameter {v.name}",
-                )
-            bench.run(instance, first=point, last=point + 1)
-    yield from ()

@@ -72,7 +72,7 @@ def _equal(v: Variable, value: Value) -> bool:
         _, digits, exponent = Decimal(v.start_text.strip()).as_tuple()
         given, found = float(v.start_text), float(value)
         slack = _EQUAL * abs(given)
-        if len(digits) >= _ROUNDED and isinstance(exponent, int):
+        if isinstance(exponent, int) and max(len(digits), -exponent) >= _ROUNDED:
             slack = max(slack, 0.5 * 10.0**exponent)
         return abs(found - given) <= slack
     return value == v.start
