@@ -92,6 +92,12 @@ def test_norm_neither_overflows_nor_underflows(rows: list[list[float]]) -> None:
     assert np.all(np.isfinite(scaled))
 
 
+def test_peak_from_a_time_on() -> None:
+    later = METRICS["peak"].evaluate(TIME, DECAY, after=TIME[0] + 1.0)
+    assert later == pytest.approx(math.exp(-1.0), rel=1e-3)
+    assert METRICS["peak"].evaluate(TIME, DECAY, after=TIME[-1] + 1.0) is None
+
+
 @given(st.floats(0.01, 100.0), st.sampled_from(["peak", "iae", "drift"]))
 def test_scaling_a_signal_scales_its_metrics(factor: float, name: str) -> None:
     one = METRICS[name].evaluate(TIME[:500], SPIRAL[:500])
@@ -110,7 +116,8 @@ def test_units() -> None:
 def test_options_and_sizes() -> None:
     assert METRICS["settling_time"].options == {"below": True}
     assert METRICS["overshoot"].options == {"reference": False}
-    assert METRICS["peak"].options == {}
+    assert METRICS["peak"].options == {"after": False}
+    assert METRICS["drift"].options == {}
     METRICS["overshoot"].check_size(1)
     METRICS["peak"].check_size(3)
     with pytest.raises(InvalidInput, match="overshoot is of one variable, not of a group of 2"):

@@ -75,6 +75,14 @@ def links(system: System) -> list[str]:
     return [link.name for link in (*resolved.links, *resolved.discrete_links)]
 
 
+def with_contents(start: Mapping[str, object]) -> dict[str, object]:
+    """Start values with what is in a table's file in place of its name: archives hold a copy."""
+    return {
+        name: Path(str(value)).read_bytes() if name.endswith("table.file") and value else value
+        for name, value in start.items()
+    }
+
+
 @pytest.mark.parametrize("file", SHIPPED, ids=lambda file: file.stem)
 def test_what_is_written_is_valid_and_read_back_as_it_was(file: Path, tmp_path: Path) -> None:
     scenario = load_scenario(file)
@@ -95,7 +103,8 @@ def test_what_is_written_is_valid_and_read_back_as_it_was(file: Path, tmp_path: 
             expected.system.components, found.system.components, strict=True
         ):
             stated = {name: value for name, value in component.start.items() if value != ""}
-            assert (other.name, dict(other.start)) == (component.name, stated)
+            assert other.name == component.name
+            assert with_contents(other.start) == with_contents(stated)
             assert other.fmu.read_bytes() == component.fmu.read_bytes()
         assert links(found.system) == links(expected.system)
         assert [v.name for v in again.variants] == [variant.name]
