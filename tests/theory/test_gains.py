@@ -91,6 +91,15 @@ def test_filters_for_extreme_weights(n, epsilon):
     assert np.isfinite(iss_filter_gain(1.5 * r, epsilon, n=n)).all()
 
 
+@pytest.mark.parametrize("r", [1e10, 1e20, 1e300])
+def test_filter_for_a_large_r_is_the_one_without_bound(r):
+    """As r grows, (43) becomes the Riccati equation of the Kalman filter. For n = 2 its element
+    (2, 2) gives X_12 = sqrt(q), and (1, 1) gives X_11 = sqrt(q + 2 X_12)."""
+    q = 1 / 0.3**2
+    k = iss_filter_gain(r, 0.3, n=2)
+    assert k == pytest.approx([math.sqrt(q + 2 * math.sqrt(q)) / 2, math.sqrt(q) / 2], rel=1e-14)
+
+
 def test_weights_beyond_double_precision_are_refused():
     with pytest.raises(InfeasibleDesign, match="double precision"):
         smallest_feasible_r(3, iss_weight(3, 1e-14))
