@@ -13,7 +13,7 @@ from congelation.cosim.info import info as look_at
 from congelation.errors import DesignWarning
 from congelation.export.build import build as build_fmus
 from congelation.export.examples import copy_examples, write_starter
-from congelation.verify.certify import Certification, Verdict, designs_of
+from congelation.verify.certify import Certification, Verdict
 from congelation.verify.certify import certify as search
 
 __all__ = ["build", "certify", "examples", "info", "new"]
@@ -105,7 +105,7 @@ def certify(
     Exit code 0: every design holds; 3: one is violated or breaks an assumption; 1: of one nothing
     can be said, because its law has no certificate or double precision does not suffice.
     """
-    found = [search(design, samples, seed) for design in designs_of(file)]
+    found = search(file, samples=samples, seed=seed)
     if json:
         print_json([_record(certification) for certification in found])
     else:

@@ -32,6 +32,7 @@ from congelation.sweep.engine import carry_out, result_folder
 from congelation.sweep.estimate import estimate
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Local, Workers
+from congelation.verify.assumptions import case_warnings
 from congelation.verify.reference import LARGEST_DEVIATION
 
 __all__ = ["export_ssp", "run", "sweep"]
@@ -191,7 +192,7 @@ def _interrupts() -> Iterator[None]:
 
 
 def _load(file: Path, *, strict: bool) -> Scenario:
-    """The scenario, after telling what may be a mistake in it.
+    """The scenario, after warnings of what may be a mistake in it.
 
     Raises
     ------
@@ -199,9 +200,15 @@ def _load(file: Path, *, strict: bool) -> Scenario:
         The first warning, if they are to be errors.
     """
     scenario = load_scenario(file)
-    if strict and scenario.warnings:
-        raise InvalidInput(f"{scenario.warnings[0]} (--strict)")
-    for warning in scenario.warnings:
+    broken = {
+        f"{file}: {variant.name}: {line}": None
+        for variant in scenario.variants
+        for line in case_warnings(scenario.case(variant.settings))
+    }
+    warnings = (*scenario.warnings, *broken)
+    if strict and warnings:
+        raise InvalidInput(f"{warnings[0]} (--strict)")
+    for warning in warnings:
         complain(f"warning: {warning}")
     return scenario
 

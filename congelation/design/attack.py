@@ -30,7 +30,8 @@ from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import MetricSpec, Scenario
 from congelation.theory.certificate import ROUNDING
 from congelation.theory.closed_loop import Segment, Solution
-from congelation.verify.certify import Design, certify
+from congelation.verify.assumptions import case_assumptions
+from congelation.verify.certify import Design, certify_design
 
 __all__ = ["OBJECTIVES", "Attack", "Bound", "Find", "attack"]
 
@@ -377,9 +378,11 @@ def _find(
     after = time >= (trial.struck or -math.inf)
     rows = np.linspace(0, len(time) - 1, min(len(time), 2000)).round().astype(int)
     try:
-        design = Design(problem.variant, problem.loop, problem.admissible.radius)
-        certified = certify(design, CERTIFY_SAMPLES, job.seed).holds
-        ell = problem.admissible.center
+        radius = problem.admissible.radius
+        remarks = case_assumptions(problem.case)
+        design = Design(problem.variant, problem.loop, radius, remarks)
+        certified = certify_design(design, CERTIFY_SAMPLES, job.seed).holds
+        ell = problem.certificate.perturbations.ell(problem.admissible.center)
         margins = problem.certificate.along(solution.states[rows], ell)
     except InvalidInput:  # there is no certificate for these gains
         certified, margins = False, []

@@ -37,11 +37,12 @@ from numpy.typing import NDArray
 from congelation.design.problem import held
 from congelation.design.shooting import Cells, Shooting
 from congelation.errors import InvalidInput
+from congelation.export.assumptions import spec_assumptions
 from congelation.export.spec import Spec, read_spec
 from congelation.scenario.metrics import METRICS
 from congelation.signals import Profile, box_radius
 from congelation.theory.closed_loop import ClosedLoop, Segment, close
-from congelation.verify.certify import Design, certify
+from congelation.verify.certify import Design, certify_design
 
 __all__ = ["OBJECTIVES", "Proposal", "Tuning", "tune", "write_proposals"]
 
@@ -333,11 +334,12 @@ class _Bench:
 
     def proposal(self, vector: Floats) -> Proposal:
         loop = self.loop(vector)
-        design = Design(self.spec.title, loop, box_radius(self.profiles))
+        remarks = spec_assumptions(self.spec)
+        design = Design(self.spec.title, loop, box_radius(self.profiles), remarks)
         own = self.own
         changed = {n: v for n, v in self.values(vector).items() if (v != own[n]).any()}
         objectives = dict(zip(OBJECTIVES, self.exact(vector), strict=True))
-        return Proposal(changed, objectives, certify(design, CERTIFY_SAMPLES).holds)
+        return Proposal(changed, objectives, certify_design(design, CERTIFY_SAMPLES).holds)
 
     def _objectives(
         self, time: Floats, x: Floats, effort: float, peak: float

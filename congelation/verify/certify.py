@@ -42,6 +42,7 @@ __all__ = [
     "assumptions",
     "certificate_of",
     "certify",
+    "certify_design",
     "designs_of",
 ]
 
@@ -133,7 +134,40 @@ def certificate_of(loop: ClosedLoop) -> Certificate:
     return _CERTIFICATES[loop.controller.name](loop)
 
 
-def certify(design: Design, samples: int = 1000, seed: int = 0) -> Certification:
+def certify(
+    what: Path | str | Spec | Scenario, *, samples: int = 1000, seed: int = 0
+) -> tuple[Certification, ...]:
+    """Check the assumptions of designs, and search for states where V' exceeds its promise.
+
+    Parameters
+    ----------
+    what : Path, str, Spec or Scenario
+        A spec has one design, a scenario one for each variant.
+    samples : int
+        Random states to try, before local ascents from the worst of them.
+    seed : int
+        Of the random states.
+
+    Returns
+    -------
+    tuple of Certification
+        What was found of each design: its verdict, the reasons, and the worst state.
+
+    Raises
+    ------
+    InvalidInput
+        If there is no such file, or no Lyapunov function for the parameters of a design.
+
+    Examples
+    --------
+    >>> (found,) = cg.certify("specs/scalar.toml", samples=50)
+    >>> found.verdict.name
+    'HOLDS'
+    """
+    return tuple(certify_design(design, samples, seed) for design in designs_of(what))
+
+
+def certify_design(design: Design, samples: int = 1000, seed: int = 0) -> Certification:
     """Check the assumptions of a design, then search its state space for a violation.
 
     Parameters

@@ -9,7 +9,7 @@ import pytest
 from congelation.design.tune import tune, write_proposals
 from congelation.errors import InvalidInput
 from congelation.export.spec import read_spec
-from congelation.verify.certify import certify, designs_of
+from congelation.verify.certify import certify_design, designs_of
 from tests.scenarios import ROOT
 
 SPEC = ROOT / "specs" / "state_feedback.toml"
@@ -26,7 +26,7 @@ def test_a_proposal_beats_the_papers_gains_in_settling_and_effort(tmp_path: Path
     for file in write_proposals(found, tmp_path):
         read_spec(file)
         (design,) = designs_of(file)
-        assert certify(design, 300).holds
+        assert certify_design(design, 300).holds
 
 
 def test_a_wish_that_cannot_be_met_is_said_with_the_nearest() -> None:

@@ -8,7 +8,7 @@ from congelation.errors import InvalidInput
 from congelation.export.build import build
 from congelation.export.examples import copy_examples, write_starter
 from congelation.scenario.load import load_scenario
-from congelation.verify.certify import certify, designs_of
+from congelation.verify.certify import certify_design, designs_of
 from tests.scenarios import ROOT
 
 
@@ -36,7 +36,7 @@ def test_a_starter_builds_holds_and_loads(tmp_path):
     paths = build(folder / "spec.toml", out=folder / "fmus")
     assert [path.name for path in paths] == ["WingFlapPlant.fmu", "WingFlapController.fmu"]
     (design,) = designs_of(folder / "spec.toml")
-    assert certify(design, samples=50).holds
+    assert certify_design(design, samples=50).holds
     scenario = load_scenario(folder / "scenario.toml")
     assert scenario.title == "wing_flap"
     assert scenario.sweep is not None

@@ -9,7 +9,7 @@ import pytest
 from build_fmu import main
 from congelation.scenario.load import load_scenario
 from congelation.verify.assumptions import case_assumptions, case_warnings
-from congelation.verify.certify import Verdict, certify, designs_of
+from congelation.verify.certify import Verdict, certify_design, designs_of
 from tests.scenarios import FMUS, SCALAR, write
 
 OBSERVER = f"""
@@ -109,7 +109,7 @@ def test_a_broken_assumption_is_one_line_and_refused(tmp_path, change, line):
         change = (f'"theta[1]" = [{change[0]}', f'"theta[1]" = [{change[1]}')
     assert line in warnings(tmp_path, OBSERVER, change)
     (design,) = designs_of(tmp_path / "loop.toml")
-    found = certify(design, samples=10)
+    found = certify_design(design, samples=10)
     assert found.verdict is Verdict.ASSUMPTION_BROKEN
     assert line in found.reasons
 
@@ -122,7 +122,7 @@ def test_theta_that_another_component_drives_cannot_be_known(tmp_path):
         "of the centre, and b constant and Hurwitz where there is one"
     )
     for design in designs_of(tmp_path / "loop.toml"):
-        found = certify(design, samples=50)
+        found = certify_design(design, samples=50)
         assert found.verdict is Verdict.HOLDS
         assert found.warnings == (line,)
 

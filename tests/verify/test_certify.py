@@ -10,7 +10,7 @@ import pytest
 from congelation.errors import InvalidInput
 from congelation.export.assumptions import spec_warnings
 from congelation.export.spec import read_spec
-from congelation.verify.certify import Verdict, assumptions, certify, designs_of
+from congelation.verify.certify import Verdict, assumptions, certify_design, designs_of
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECS = sorted((ROOT / "specs").glob("*.toml"))
@@ -64,7 +64,7 @@ def certified(tmp_path: Path, text: str, samples: int = 200):
     file = tmp_path / "spec.toml"
     file.write_text(text)
     (design,) = designs_of(file)
-    return certify(design, samples=samples)
+    return certify_design(design, samples=samples)
 
 
 A = '"theta[{}]" = [{{constant = {}}}, {{sine = {{amplitude = 0.3, omega = 2}}}}]'
@@ -82,7 +82,7 @@ def profiles(b, n: int) -> str:
 @pytest.mark.parametrize("file", SPECS, ids=lambda file: file.stem)
 def test_shipped_specs_hold(file):
     (design,) = designs_of(file)
-    found = certify(design, samples=100)
+    found = certify_design(design, samples=100)
     assert found.verdict is Verdict.HOLDS, found.reasons
     assert found.reasons == found.warnings == ()
     assert assumptions(design) == ()
@@ -98,8 +98,8 @@ def test_designs_are_made_of_files_specs_and_scenarios():
 def test_controller_2_is_caught():
     """Without damping nothing is promised for a theta that varies: the search finds where."""
     one, two = designs_of(ROOT / "scenarios" / "fig2.toml")
-    assert certify(one, samples=200).holds
-    found = certify(two, samples=200)
+    assert certify_design(one, samples=200).holds
+    found = certify_design(two, samples=200)
     assert found.verdict is Verdict.VIOLATED
     assert found.finding.margin.value > 0.0
     assert found.reasons[0].startswith("V' + promised rate = ")
@@ -108,7 +108,7 @@ def test_controller_2_is_caught():
 def test_controller_2_of_first_order_holds_with_ell_at_the_end_of_the_interval():
     """V' = -k_bar x^2 - (theta - ell) x^2 with ell = inf theta(t)."""
     for design in designs_of(ROOT / "scenarios" / "scalar.toml"):
-        assert certify(design, samples=200).verdict is Verdict.HOLDS
+        assert certify_design(design, samples=200).verdict is Verdict.HOLDS
 
 
 UNDAMPED = {
