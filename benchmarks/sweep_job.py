@@ -79,10 +79,8 @@ class Job:
     def scenario(self) -> Scenario:
         """Fig. 2 as this job changes it."""
         fig2 = load_scenario(ROOT / "scenarios" / "fig2.toml")
-        experiment = {**fig2.experiment, **self.experiment}
-        return replace(
-            fig2,
-            experiment={k: value for k, value in experiment.items() if value is not None},
+        return fig2.changed(
+            experiment=replace(fig2.experiment, **self.experiment),
             variants=tuple(v for v in fig2.variants if v.name in self.variants),
             sweep=Sweep(
                 axes=(RandomAxis("controller.epsilon", "uniform", (0.25, 0.35)),),

@@ -22,7 +22,7 @@ def load_scenario(file: Path | str) -> Scenario:
 
     Examples
     --------
-    >>> load_scenario("scenarios/fig2.toml").title
+    >>> cg.load_scenario("scenarios/fig2.toml").title
     'Fig. 2: state feedback'
     """
     path = Path(file)

@@ -86,15 +86,15 @@ class Scenario:
 
     Examples
     --------
-    >>> scenario = Scenario(
+    >>> scenario = cg.Scenario(
     ...     title="Scalar loop",
-    ...     system=System(
-    ...         (Component("plant", "fmus/ScalarPlant.fmu", {"x0": [1.0]}),
-    ...          Component("controller", "fmus/ScalarController.fmu")),
-    ...         (Connection("plant.x", "controller.x"), Connection("controller.u", "plant.u")),
+    ...     system=cg.System(
+    ...         (cg.Component("plant", "fmus/ScalarPlant.fmu", {"x0": [1.0]}),
+    ...          cg.Component("controller", "fmus/ScalarController.fmu")),
+    ...         (cg.Connection("plant.x", "controller.x"), cg.Connection("controller.u", "plant.u")),
     ...     ),
-    ...     experiment=Experiment(stop_time=2.0, coupling="hermite", tolerance=1e-6),
-    ...     variants=(Variant("Controller 1", {"controller.damping": True}),),
+    ...     experiment=cg.Experiment(stop_time=2.0, coupling="hermite", tolerance=1e-6),
+    ...     variants=(cg.Variant("Controller 1", {"controller.damping": True}),),
     ... )
     >>> scenario.experiment.record[:2]
     ('plant.x', 'plant.theta[1]')

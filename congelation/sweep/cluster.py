@@ -195,5 +195,5 @@ def _unpacked(job: Job, files: Mapping[str, tuple[str, bytes]], task: Task) -> t
         replace(c, fmu=here[str(c.fmu)], start=moved(c.start)) for c in scenario.system.components
     )
     system = replace(scenario.system, components=components)
-    local = replace(job, scenario=replace(scenario, system=system))
+    local = replace(job, scenario=scenario.changed(system=system))
     return local, replace(task, settings=moved(task.settings))

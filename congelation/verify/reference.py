@@ -206,7 +206,9 @@ def verify(system: System, result: Result) -> tuple[Deviation, ...]:
     >>> max(deviation.relative for deviation in cg.verify(system, result)) < 1e-4
     True
     """
-    horizon = Experiment(float(result.time[-1]), result.names, float(result.time[0]))
+    start, stop = float(result.time[0]), float(result.time[-1])
+    # Of the experiment its times and columns count; how it was stepped does not.
+    horizon = Experiment(stop, result.names, start, step=stop - start)
     found = reference(Case(system, horizon))
     return _deviations(found, result.time, result.names, result.values)
 

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from congelation.sweep.run import run_scenario
 from typer.testing import CliRunner
 
 from congelation.cli import app
@@ -19,6 +18,7 @@ from congelation.design.playback import write_finds
 from congelation.design.problem import Admissible, problem_of
 from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
+from congelation.sweep.engine import run
 from congelation.theory.certificate import PerturbationSet
 from tests.scenarios import ROOT, write
 
@@ -69,9 +69,9 @@ def test_finds_are_admissible_and_are_the_same_through_fmus(quick: Attack, tmp_p
         alone = replace(
             scenario, variants=tuple(v for v in scenario.variants if v.name == find.variant)
         )
-        (row,) = run_scenario(alone, tmp_path / file.stem).read().rows
-        assert row["status"] == "COMPLETED"
-        assert row[f"{find.objective}_x"] == pytest.approx(find.value, rel=1e-4)
+        (record,) = run(alone, out=tmp_path / file.stem).runs
+        assert record.status == "COMPLETED"
+        assert record.metrics[f"{find.objective}_x"] == pytest.approx(find.value, rel=1e-4)
 
 
 @pytest.mark.slow
@@ -174,7 +174,7 @@ def test_command_writes_a_scenario(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_strike_hits_controller_2_alone(tmp_path: Path) -> None:
     scenario = load_scenario(ROOT / "scenarios" / "strike.toml")
-    one, two = run_scenario(scenario, tmp_path).read().rows
+    one, two = (record.metrics for record in run(scenario, out=tmp_path).runs)
     assert one["peak_late"] < 1e-6
     assert two["peak_late"] == pytest.approx(1.0963, rel=1e-3)
     assert two["settling_x"] == pytest.approx(26.34, rel=1e-2)

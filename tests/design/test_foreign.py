@@ -5,13 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from congelation.sweep.run import run_scenario
 
 from congelation.design.foreign import attack_fmus
 from congelation.design.playback import write_finds
 from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
+from congelation.sweep.engine import run
 from tests.scenarios import FMUS, SCALAR, write
 
 SOURCE = FMUS / "ScalarPlant.fmu"
@@ -38,16 +38,16 @@ def test_input_and_parameter_that_do_most_harm_are_played_again(
     assert found.missed == ()
     (find,) = found.finds
     (own,) = (
-        row["peak_x"]
-        for row in run_scenario(scenario, tmp_path / "own").read().rows
-        if row["variant"] == "Controller 2"
+        record.metrics["peak_x"]
+        for record in run(scenario, out=tmp_path / "own").runs
+        if record.variant == "Controller 2"
     )
     assert find.value > own
     (file,) = write_finds(found, tmp_path / "finds")
     played = load_scenario(file)
     assert any(c.name.startswith("source_plant") for c in played.system.components)
-    rows = run_scenario(played, tmp_path / "played").read().rows
-    (again,) = (row["peak_x"] for row in rows if row["variant"] == "Controller 2")
+    records = run(played, out=tmp_path / "played").runs
+    (again,) = (r.metrics["peak_x"] for r in records if r.variant == "Controller 2")
     assert again == pytest.approx(find.value, rel=1e-3)
 
 

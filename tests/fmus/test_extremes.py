@@ -6,6 +6,7 @@ import math
 
 import pytest
 
+from congelation.errors import DesignWarning
 from congelation.export.build import build
 from tests.fmus.instance import DISCARD, ERROR, FMUS, Instance, loaded
 
@@ -124,7 +125,8 @@ def test_a_default_table_whose_file_is_gone(tmp_path):
     spec.write_text(
         f'{head}[plant.profile]\n"theta[1]" = [{{table = {{file = "theta.csv"}}}}]\n[controller]{rest}'
     )
-    build(spec, out=tmp_path)
+    with pytest.warns(DesignWarning, match="is read from a table"):
+        build(spec, out=tmp_path)
     (tmp_path / "theta.csv").unlink()
     with loaded(tmp_path / "ScalarPlant.fmu") as (plant,):
         plant.start()

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from congelation.errors import DesignWarning
 from congelation.export.build import build
 from tests.fmus.instance import FMUS, loaded
 
@@ -68,7 +69,8 @@ def test_two_builds_of_different_content(tmp_path):
         folder.mkdir()
         spec = folder / "twin.toml"
         spec.write_text(SPEC.format(sign=sign))
-        build(spec, out=folder)
+        with pytest.warns(DesignWarning, match="no profile"):
+            build(spec, out=folder)
         paths.append(folder / "Twin.fmu")
     slopes = []
     with loaded(paths[0]) as (one,), loaded(paths[1]) as (two,):

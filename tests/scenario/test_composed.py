@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from congelation.sweep.run import run_scenario
 
 from congelation.cosim.system import Component, Connection, System
 from congelation.errors import InvalidInput
@@ -18,6 +17,7 @@ from congelation.scenario.constraint import Constraint
 from congelation.scenario.load import load_scenario
 from congelation.scenario.parts import Experiment, FigureSpec, MetricSpec, Variant
 from congelation.scenario.scenario import Scenario
+from congelation.sweep.engine import run
 from tests.scenarios import FMUS, SHIPPED, write
 
 SYSTEM = System(
@@ -69,8 +69,8 @@ def test_a_scenario_composed_of_its_own_parts_is_the_same(file: Path) -> None:
 def test_it_runs_without_a_file(tmp_path: Path) -> None:
     scenario = compose(variants=())
     assert scenario.file is None
-    (row,) = run_scenario(scenario, tmp_path).read().rows
-    assert (row["variant"], row["status"]) == ("run", "COMPLETED")
+    (record,) = run(scenario, out=tmp_path / "out").runs
+    assert (record.variant, record.status) == ("run", "COMPLETED")
 
 
 def test_settings_are_flat_and_plain() -> None:

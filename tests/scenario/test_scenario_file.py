@@ -167,8 +167,8 @@ MISTAKES = {
     "start value of a wrong shape": ("[1.0]", "[1.0, 2.0]", "shape 2 given, 1 needed"),
     "start value of another unit": (
         "k_bar = 0.5",
-        'k_bar = {value = 0.5, unit = "1/min"}',
-        "controller.start.k_bar.unit = '1/min' is not the unit of 'k_bar'; give '1/s'",
+        'k_bar = {value = 0.5, unit = "m"}',
+        "controller.start.k_bar.unit",
     ),
     "unit without a value": ("k_bar = 0.5", 'k_bar = {unit = "1/s"}', "k_bar.value is missing"),
     "profile of no parameter": (
@@ -242,7 +242,6 @@ MISTAKES = {
         "metrics.settling_x.above is not known here; did you mean 'below'?",
     ),
     "metric of no variable": (METRIC, METRIC.replace("plant.x", "plant.xx"), "settling_x.of: "),
-    "metric under a taken name": ("settling_x =", "status =", "choose a name other than 'status'"),
     "figure without panels": (f"panels = {PANELS}", "", "figures[1].panels is missing"),
     "figure of nothing": (PANELS, "[]", "figures[1].panels = [] is not valid"),
     "figure of no variable": (PANELS, '["plant.y"]', "figures[1].panels: record 'plant.y'"),

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
 
-from build_fmu import main
+from congelation.errors import DesignWarning
+from congelation.export.build import build
 from congelation.scenario.load import load_scenario
 from congelation.verify.assumptions import case_assumptions, case_warnings
 from congelation.verify.certify import Verdict, certify_design, designs_of
@@ -131,7 +133,8 @@ def test_theta_without_a_profile_is_named(tmp_path):
     """Neither the spec of the FMU nor the scenario gives it one."""
     text = SPEC.replace("PLANT", "BarePlant").replace("CONTROLLER", "BareController")
     (tmp_path / "bare.toml").write_text(text)
-    assert main(["--spec", str(tmp_path / "bare.toml"), "--out", str(tmp_path)]) == 0
+    with pytest.warns(DesignWarning, match="no profile"):
+        build(tmp_path / "bare.toml", out=tmp_path)
     changes = (
         (f"{FMUS}/ScalarPlant", f"{tmp_path}/BarePlant"),
         (
@@ -145,18 +148,17 @@ def test_theta_without_a_profile_is_named(tmp_path):
     assert line.startswith('plant.profile."theta[1]": it has no profile, and is 0 throughout')
 
 
-def test_build_warns_of_what_it_builds(tmp_path, capsys):
-    """One line on stderr for each remark, and the FMUs all the same."""
+def test_build_warns_of_what_it_builds(tmp_path):
+    """One warning for each remark, and the FMUs all the same."""
     text = SPEC.replace("PLANT", "WarnedPlant").replace("CONTROLLER", "WarnedController")
     profile = '[plant.profile]\n"theta[1]" = [{sine = {amplitude = 3, omega = 1}}]\n[controller]'
     (tmp_path / "warned.toml").write_text(text.replace("[controller]", profile))
-    assert main(["--spec", str(tmp_path / "warned.toml"), "--out", str(tmp_path)]) == 0
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("build_fmu.py: warning: ")
-    assert line.endswith(
-        "warned.toml: controller.start.delta: 1 is less than 3, the radius of the box that "
+    line = (
+        "spec 'warned': controller.start.delta: 1 is less than 3, the radius of the box that "
         "theta(t) fills; give delta = 3, or narrow the profile"
     )
+    with pytest.warns(DesignWarning, match=re.escape(line)):
+        build(tmp_path / "warned.toml", out=tmp_path)
     assert (tmp_path / "WarnedPlant.fmu").is_file()
 
 
