@@ -50,7 +50,7 @@ demo: fmus
 	@$(BIN)/python -m congelation.report.index results
 
 test: fmus .venv-cofmupy/installed
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n 2 --dist loadfile
 
 test-fast: fmus
 	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile

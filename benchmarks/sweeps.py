@@ -173,7 +173,12 @@ def many(points: int, stop_time: float, marks: tuple[int, ...]) -> Many:
 
 def fresh(steps: int, points: int, rounds: int) -> Fresh:
     """Held inputs: a loop of fresh FMPy instances, a sweep on one worker and on two, in turns."""
-    experiment = {"coupling": "jacobi", "step": HELD_STEP, "stop_time": steps * HELD_STEP}
+    experiment = {
+        "coupling": "jacobi",
+        "step": HELD_STEP,
+        "tolerance": None,
+        "stop_time": steps * HELD_STEP,
+    }
     jobs = {
         FRESH: Job(points, experiment, program=FRESH),
         "1 worker": Job(points, experiment),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from numbers import Real
 
 from congelation.cosim.coupling import Coupling, make_coupling, refuse_tolerance
 from congelation.cosim.recording import Output
@@ -29,6 +30,9 @@ decimal numbers."""
 
 GRID_SHARE = 1e-3
 """Of a step: more is never rounding."""
+
+
+_NUMBERS = ("start_time", "stop_time", "step", "tolerance", "slave_tolerance", "output_interval")
 
 
 @dataclass(frozen=True)
@@ -86,6 +90,10 @@ class Experiment:
     max_steps: int | None = None
 
     def __post_init__(self) -> None:
+        for name in _NUMBERS:
+            value = getattr(self, name)
+            if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
+                raise InvalidInput(f"{name} = {value!r} is not valid; give a number")
         start, stop = self.start_time, self.stop_time
         if not (math.isfinite(stop - start) and stop > start):
             raise InvalidInput(f"stop_time {stop:g} must be finite and after start_time {start:g}")

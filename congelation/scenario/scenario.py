@@ -91,7 +91,8 @@ class Scenario:
     ...     system=cg.System(
     ...         (cg.Component("plant", "fmus/ScalarPlant.fmu", {"x0": [1.0]}),
     ...          cg.Component("controller", "fmus/ScalarController.fmu")),
-    ...         (cg.Connection("plant.x", "controller.x"), cg.Connection("controller.u", "plant.u")),
+    ...         (cg.Connection("plant.x", "controller.x"),
+    ...          cg.Connection("controller.u", "plant.u")),
     ...     ),
     ...     experiment=cg.Experiment(stop_time=2.0, coupling="hermite", tolerance=1e-6),
     ...     variants=(cg.Variant("Controller 1", {"controller.damping": True}),),

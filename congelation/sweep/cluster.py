@@ -150,18 +150,20 @@ class _Here:
 
     lock: ClassVar = threading.Lock()
     workers: ClassVar[Local | None] = None
-    study: ClassVar[str] = ""
+    job: ClassVar[tuple[object, ...]] = ()
 
 
 def _do(job: Job, files: Mapping[str, tuple[str, bytes]] | None, task: Task) -> Event:
     """Do one run in a process beside the dask worker."""
     if files is not None:
         job, task = _unpacked(job, files, task)
+    # Two calls for one study may differ in where its files are and its results go.
+    key = (job.study, job.folder, *(c.fmu for c in job.scenario.system.components))
     with _Here.lock:
-        if _Here.workers is None or _Here.study != job.study:
+        if _Here.workers is None or _Here.job != key:
             if _Here.workers is not None:
                 _Here.workers.stop()
-            _Here.workers, _Here.study = Local(), job.study
+            _Here.workers, _Here.job = Local(), key
             _Here.workers.start(job)
         _Here.workers.submit([task])
         while True:

@@ -14,7 +14,7 @@ from benchmarks.sweeps import overhead
 from congelation.results.results import Results
 
 STEPS, STEP = 200, 1e-4
-HELD = {"coupling": "jacobi", "step": STEP, "stop_time": STEPS * STEP}
+HELD = {"coupling": "jacobi", "step": STEP, "tolerance": None, "stop_time": STEPS * STEP}
 
 
 def test_fresh_instances_and_the_sweep_do_the_same_runs(tmp_path: Path) -> None:

@@ -97,14 +97,6 @@ MISTAKES: dict[str, tuple[Callable[[], dict[str, Any]], str]] = {
         lambda: {"experiment": Experiment(1.0, step=-1.0)},
         "experiment.step = -1.0 is not valid; give a positive time in seconds",
     ),
-    "coupling": (
-        lambda: {"experiment": Experiment(1.0, step=0.1, coupling="jakobi")},
-        "experiment.coupling = 'jakobi' is not known; did you mean 'jacobi'?",
-    ),
-    "a text for a time": (
-        lambda: {"experiment": Experiment("1", step=0.1)},  # type: ignore[arg-type]
-        "experiment.stop_time = '1' is not valid; give a number of seconds",
-    ),
     "start value": (
         lambda: {
             "system": replace(
@@ -192,11 +184,22 @@ def test_applying_settings_checks_nothing_again(monkeypatch: pytest.MonkeyPatch)
 
     for name in ("congelation.toml.Section.read", "congelation.toml.Section.value"):
         monkeypatch.setattr(name, again)
-    for name in ("describe", "make_coupling"):
-        monkeypatch.setattr(f"congelation.scenario.scenario.{name}", again)
-    monkeypatch.setattr("congelation.scenario.parts.make_coupling", again)
+    monkeypatch.setattr("congelation.scenario.scenario.describe", again)
     case = scenario.case(settings)
     assert (case.experiment.step, case.system.components[0].start["x0[1]"]) == (0.02, 3.0)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"stop_time": 1.0, "step": 0.1, "coupling": "jakobi"}, "did you mean 'jacobi'"),
+        ({"stop_time": "1", "step": 0.1}, "stop_time = '1' is not valid; give a number"),
+        ({"stop_time": 1.0, "tolerance": True}, "tolerance = True is not valid; give a number"),
+    ],
+)
+def test_an_experiment_that_cannot_be_is_refused(values: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidInput, match=message):
+        Experiment(**values)
 
 
 def test_keys_that_do_not_agree_are_told(tmp_path: Path) -> None:
