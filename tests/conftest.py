@@ -5,6 +5,7 @@ them, in `make fuzz`, which runs the tests marked ``fuzz``. Such a test sets no 
 """
 
 import os
+import signal
 import sys
 
 import pytest
@@ -12,6 +13,10 @@ from hypothesis import settings
 
 # Matrices here are small: threads only wait for each other, and on a busy machine for minutes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# A shell starts what runs in its background with SIGINT ignored, and processes inherit that; tests
+# that interrupt a command need it as it is in a foreground.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile("repeatable", derandomize=True, deadline=None, print_blob=True)
 settings.register_profile("fuzz", max_examples=1000, deadline=None, print_blob=True)
