@@ -42,7 +42,7 @@ DEMO := scalar fig1 fig2 fig3 fig3_r11 strike
 
 demo: fmus
 	@for name in $(DEMO); do \
-		$(BIN)/congelation run scenarios/$$name.toml --out results/$$name || exit $$?; \
+		$(BIN)/congelation run scenarios/$$name.toml --workers 2 --out results/$$name || exit $$?; \
 		$(BIN)/congelation report results/$$name --html results/$$name/report.html || exit $$?; \
 	done
 	@$(BIN)/congelation sweep scenarios/rivals.toml --workers 2 --resume --out results/rivals
