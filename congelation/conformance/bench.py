@@ -349,7 +349,7 @@ class Bench:
         Raises
         ------
         Violated
-            The other process failed; the text holds its last words.
+            The other process failed; the text holds the end of its output.
         """
         scratch = Path(self.job.scratch) / f"elsewhere-{task}"
         scratch.mkdir(exist_ok=True)

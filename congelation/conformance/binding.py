@@ -269,7 +269,7 @@ class Library:
     ----------
     probe : str
         What a rule does that no correct host would do; noted with each later call, so that a
-        crash is told apart from one in a correct sequence of calls.
+        crash is distinguished from one in a correct sequence of calls.
 
     Raises
     ------

@@ -127,8 +127,8 @@ def to_json(report: Report) -> str:
 def to_junit(report: Report, fail_on: Level = Level.VIOLATION) -> str:
     """The report as JUnit XML: one suite for each FMU, one case for each rule.
 
-    A finding of the level `fail_on` or a graver one is a failure; one of another level is told in
-    the output of its case. Accepted findings and rules that did not look are skipped.
+    A finding of the level `fail_on` or a graver one is a failure; one of another level is in the
+    output of its case. Accepted findings and rules that did not look are skipped.
     """
     root = ElementTree.Element("testsuites", name="congelation check")
     for fmu in report.fmus:

@@ -273,7 +273,7 @@ class Verdict:
 
 @dataclass(frozen=True)
 class Finding:
-    """One broken rule in one FMU, as it is told to people.
+    """One broken rule in one FMU, as it is reported.
 
     Attributes
     ----------

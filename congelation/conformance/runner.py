@@ -351,7 +351,7 @@ class Checker:
             return Verdict(rule, Outcome.FOUND, (Breach(what),), log=log, cause=cause)
 
     def _spawn(self, job: Job, limit: float) -> tuple[int | None, str]:
-        """Run a child; its exit code, None if it had to be killed, and its last words."""
+        """Run a child; its exit code, None if it had to be killed, and the end of its output."""
         if self._stopped:
             return None, ""
         root = str(Path(congelation.__file__).parents[1])
@@ -388,7 +388,7 @@ class Checker:
         return code, lines[-1][-_LAST_WORDS:] if lines else ""
 
     def _excused(self, verdict: Verdict) -> Verdict:
-        """A finding that the FMU's wrapper alone is to blame for becomes a known one."""
+        """A finding that the FMU's wrapper alone causes becomes a known one."""
         if verdict.outcome is not Outcome.FOUND or not is_pythonfmu(self._root / "fmu"):
             return verdict
         limit = limit_of(verdict.rule.id, verdict.breaches[0].what)

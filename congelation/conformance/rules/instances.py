@@ -53,7 +53,7 @@ def explained_refusal(bench: Bench) -> Iterator[str]:
     Standard: "If a null pointer is returned, then instantiation failed. In that case,
     functions->logger is called with detailed information about the reason."
 
-    Why: Without the reason nobody can mend it.
+    Why: Without the reason nobody can correct it.
 
     Remedy: Call the logger before returning a null pointer
 

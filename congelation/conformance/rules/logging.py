@@ -112,7 +112,7 @@ def explained(bench: Bench) -> Iterator[str]:
 
     Standard: of fmi2Warning, fmi2Discard, fmi2Error and fmi2Fatal: "Function logger was called"
 
-    Why: Without the reason nobody can mend it.
+    Why: Without the reason nobody can correct it.
 
     Remedy: Call the logger before such a status is returned
 
