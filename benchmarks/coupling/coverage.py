@@ -6,17 +6,21 @@ solution over the rows, relative to the largest of the solution, and so is its b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from benchmarks.coupling.problems import Problem
 from congelation.cosim import Result, simulate
 from congelation.cosim.trust import FLOOR
 
 __all__ = ["FIXED", "TOLERANT", "Pair", "Setting", "measure", "settings"]
+
+Floats = npt.NDArray[np.float64]
 
 FIXED = (
     ("held", "jacobi"),
@@ -37,6 +41,11 @@ TOLERANT = (
 """The same with steps chosen by a tolerance."""
 
 TOLERANCES = (1e-3, 1e-4, 1e-5)
+
+MOST_STEPS = 20_000
+"""Of a run; more are not worth their while here."""
+
+ROUNDING = 1e-9
 
 ROWS = 0.95
 """Of the row times, the part that should be covered."""
@@ -103,7 +112,7 @@ class Pair:
     @property
     def ratio(self) -> float:
         """Bar over true error; nan where the error is within the floor of the bars."""
-        return self.bar / self.error if self.error > 10.0 * FLOOR else np.nan
+        return self.bar / self.error if self.error > 10.0 * FLOOR else math.nan
 
 
 def settings(
@@ -119,23 +128,36 @@ def settings(
                 yield Setting(problem, ability, coupling, True, tolerance)
 
 
-def measure(folder: Path, setting: Setting) -> list[Pair] | str:
-    """The pairs of a run; or how it ended, where it has no bars."""
-    result = setting.run(folder, trust=True, max_steps=200_000)
-    trust, problem = result.trust, setting.problem
-    assert trust is not None
-    if not result.completed:
-        return result.status.name
-    if trust.bands is None:
-        return trust.line
-    exact = problem.exact(result.time)
-    count = len(problem.record)
-    errors = np.abs(result.values[:, :count] - exact)
+def measure(
+    folder: Path, problem: Problem, settings: Sequence[Setting]
+) -> tuple[list[Pair], list[str]]:
+    """The pairs of some runs of a problem; and how those ended that have no bars."""
+    results, ended = [], []
+    for setting in settings:
+        result = setting.run(folder, trust=True, max_steps=MOST_STEPS)
+        if result.trust is not None and result.trust.bands is not None:
+            results.append((setting, result))
+        else:
+            verdict = result.status.name if not result.completed else result.trust.verdict
+            ended.append(f"{setting}: {verdict}")
+    # One solution for all of them: it takes longer than a run.
+    times = np.unique(np.concatenate([result.time for _, result in results]))
+    exact = problem.exact(times)
+    pairs = []
+    for setting, result in results:
+        pairs += _pairs(setting, result, exact[np.searchsorted(times, result.time)])
+    return pairs, ended
+
+
+def _pairs(setting: Setting, result: Result, exact: Floats) -> list[Pair]:
+    """The pairs of a run, with the solution, shape (N, M), at its rows."""
+    trust, record = result.trust, setting.problem.record
+    errors = np.abs(result.values[:, : len(record)] - exact)
     peaks = np.abs(exact).max(axis=0)
     # Rounding is no error that a band has to hold.
-    covered = errors <= trust.bands + 1e-9 * peaks
+    covered = (errors <= trust.bands + ROUNDING * peaks).mean(axis=0)
     pairs = []
-    for k, variable in enumerate(problem.record):
+    for k, variable in enumerate(record):
         passes = errors[:, k] > SMALL * peaks[k]
         since = trust.since[k]
         pairs.append(
@@ -144,10 +166,10 @@ def measure(folder: Path, setting: Setting) -> list[Pair] | str:
                 variable,
                 float(errors[:, k].max() / peaks[k]),
                 float(trust.bands[:, k].max() / peaks[k]),
-                float(covered[:, k].mean()),
+                float(covered[k]),
                 trust.verdicts[k],
-                np.inf if since is None else since,
-                float(result.time[np.argmax(passes)]) if passes.any() else np.inf,
+                math.inf if since is None else since,
+                float(result.time[np.argmax(passes)]) if passes.any() else math.inf,
                 trust.runs,
             )
         )
