@@ -11,13 +11,13 @@ import hashlib
 import html
 import json
 import pprint
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from congelation import signals
 from congelation.export.equations import equations_module
-from congelation.export.interface import Interface, interface_of
+from congelation.export.interface import Interface, ScalarVariable, interface_of
 from congelation.export.spec import BlockSpec, FmuSpec, Spec
 
 __all__ = ["Staged", "stage"]
@@ -213,7 +213,7 @@ _PAGE = """<!DOCTYPE html>
 <title>{name}</title>
 <style>
 body {{ font: 16px/1.5 sans-serif; max-width: 60em; margin: 2em auto; padding: 0 1em; }}
-table {{ border-collapse: collapse; font-size: 14px; }}
+table {{ border-collapse: collapse; font-size: 14px; display: block; overflow-x: auto; }}
 th, td {{ border: 1px solid #bbb; padding: 0.2em 0.6em; text-align: left; }}
 .equation {{ margin-left: 2em; }}
 </style>
@@ -225,11 +225,7 @@ th, td {{ border: 1px solid #bbb; padding: 0.2em 0.6em; text-align: left; }}
 <p>On a communication step [t, t + h] an input v acts as
 v + der(v) s + der(v,2) s&sup2;/2 + der(v,3) s&sup3;/6, s being the time since t; left alone, the
 derivatives are 0 and v is held.</p>
-<h2>Variables</h2>
-<table>
-<tr><th>Name</th><th>Causality</th><th>Type</th><th>Start</th><th>Unit</th><th>Description</th></tr>
-{rows}
-</table>
+{tables}
 </body>
 </html>
 """
@@ -238,21 +234,44 @@ derivatives are 0 and v is held.</p>
 _SOURCE = """ Equation numbers are those of K. Chen and A. Astolfi, <i>Adaptive Control of
 Linear Systems with Time-Varying Parameters</i>, American Control Conference 2018."""
 
+_HEAD = "<tr><th>Name</th><th>Type</th><th>Start</th><th>Unit</th><th>Description</th></tr>"
+
+_GROUPS: tuple[tuple[str, Callable[[ScalarVariable], bool]], ...] = (
+    ("Inputs to connect", lambda v: v.causality == "input" and not v.open),
+    (
+        "Inputs to leave alone, unless their source is known",
+        lambda v: v.causality == "input" and v.open,
+    ),
+    ("Outputs", lambda v: v.causality == "output"),
+    (
+        "Parameters",
+        lambda v: v.causality == "parameter" and not v.name.startswith("profile["),
+    ),
+    ("Parameters of profiles", lambda v: v.name.startswith("profile[")),
+    ("Computed from the parameters", lambda v: v.causality == "calculatedParameter"),
+    ("Inner variables", lambda v: v.causality == "local"),
+)
+"""What a reader of the page looks for, in that order."""
+
 
 def _page(fmu: FmuSpec, interface: Interface, equations: str) -> str:
     """documentation/index.html: the equations and the variables."""
-    cells = (
-        (v.name, v.causality, v.type, "" if v.start is None else v.start, v.unit, v.description)
-        for v in interface.variables
-    )
-    rows = "\n".join(
-        "<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in row) + "</tr>"
-        for row in cells
-    )
+    tables = []
+    for title, belongs in _GROUPS:
+        rows = "\n".join(
+            "<tr>" + "".join(f"<td>{html.escape(str(cell))}</td>" for cell in cells) + "</tr>"
+            for cells in (
+                (v.name, v.type, "" if v.start is None else v.start, v.unit, v.description)
+                for v in interface.variables
+                if belongs(v)
+            )
+        )
+        if rows:
+            tables.append(f"<h2>{title}</h2>\n<table>\n{_HEAD}\n{rows}\n</table>")
     return _PAGE.format(
         name=html.escape(fmu.name),
         description=html.escape(fmu.model.description),
         source="" if fmu.role == "block" else _SOURCE,
         equations=equations.strip(),
-        rows=rows,
+        tables="\n".join(tables),
     )
