@@ -7,11 +7,13 @@ relative tolerance of 1e-13; switching relays are events of it.
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol
+from types import MappingProxyType
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -21,7 +23,7 @@ from scipy.linalg import expm
 from benchmarks.coupling.parts import MODELS
 from congelation.cosim import Component, Connection, System
 
-__all__ = ["PROBLEMS", "Linear", "Problem", "Smooth", "Switched", "problem"]
+__all__ = ["PROBLEMS", "REFERENCE", "Linear", "Problem", "Smooth", "Switched", "problem"]
 
 Floats = npt.NDArray[np.float64]
 Start = Mapping[str, float]
@@ -33,12 +35,18 @@ DENSE = 0.5
 """Of the coarsest communication step, the longest of the reference solver: within its steps it
 interpolates to order 7 only."""
 
+REFERENCE: Mapping[str, Any] = MappingProxyType({"method": "DOP853", "rtol": 1e-13, "atol": 1e-14})
+"""How reference solutions are found."""
+
 
 class Solution(Protocol):
     """The recorded variables as functions of time."""
 
     def __call__(self, problem: Problem, times: Floats) -> Floats:
         """At increasing times, shape (N,); shape (N, M)."""
+
+    def solved(self, problem: Problem, times: Floats, **how: Any) -> Floats:
+        """The same by a solver: `how` are arguments of scipy's solve_ivp."""
 
 
 @dataclass(frozen=True)
@@ -99,25 +107,20 @@ class Problem:
 class Linear:
     """The exact solution of linear parts."""
 
-    def __call__(self, problem: Problem, times: Floats) -> Floats:
-        """At increasing times, shape (N,); shape (N, M)."""
+    def equations(self, problem: Problem) -> tuple[Floats, Floats, Floats]:
+        """z' = F z, its start and the recorded variables R z: F, z0 and R."""
         names = list(problem.parts)
         n = len(names)
         A, B = np.zeros((n * X, n * X)), np.zeros((n * X, n * U))
         C, D = np.zeros((n * Y, n * X)), np.zeros((n * Y, n * U))
         K = np.zeros((n * U, n * Y))
         x0 = np.zeros(n * X)
+        sizes = ((A, "A", X, X), (B, "B", X, U), (C, "C", Y, X), (D, "D", Y, U))
         for k, (_, start) in enumerate(problem.parts.values()):
-            for M, letter, rows, columns in (
-                (A, "A", X, X),
-                (B, "B", X, U),
-                (C, "C", Y, X),
-                (D, "D", Y, U),
-            ):
-                for i in range(rows):
-                    for j in range(columns):
-                        value = start.get(f"{letter}[{i + 1},{j + 1}]", 0.0)
-                        M[k * rows + i, k * columns + j] = value
+            for M, letter, rows, columns in sizes:
+                for i, j in itertools.product(range(rows), range(columns)):
+                    value = start.get(f"{letter}[{i + 1},{j + 1}]", 0.0)
+                    M[k * rows + i, k * columns + j] = value
             x0[k * X : (k + 1) * X] = [start.get(f"x0[{i + 1}]", 0.0) for i in range(X)]
 
         def output(name: str) -> int:
@@ -131,12 +134,21 @@ class Linear:
             K[row, output(source)] = 1.0
         # y = C x + D K y, x' = A x + B K y
         y = np.linalg.solve(np.eye(n * Y) - D @ K, C)
-        flow = A + B @ K @ y
-        moving = np.flatnonzero(flow.any(axis=1) | (x0 != 0.0))
-        flow, x0 = flow[np.ix_(moving, moving)], x0[moving]
+        F = A + B @ K @ y
+        moving = np.flatnonzero(F.any(axis=1) | (x0 != 0.0))
         recorded = y[np.ix_([output(name) for name in problem.record], moving)]
-        states = expm(flow[None] * times[:, None, None]) @ x0
-        return np.asarray(states @ recorded.T, dtype=np.float64)
+        return F[np.ix_(moving, moving)], x0[moving], recorded
+
+    def __call__(self, problem: Problem, times: Floats) -> Floats:
+        """At increasing times, shape (N,); shape (N, M)."""
+        F, z0, recorded = self.equations(problem)
+        return np.asarray(expm(F[None] * times[:, None, None]) @ z0 @ recorded.T)
+
+    def solved(self, problem: Problem, times: Floats, **how: Any) -> Floats:
+        """The same by a solver: `how` are arguments of scipy's solve_ivp."""
+        F, z0, recorded = self.equations(problem)
+        found = solve_ivp(lambda t, z: F @ z, (0.0, problem.stop), z0, t_eval=times, **how)
+        return np.asarray(found.y.T @ recorded.T)
 
 
 @dataclass(frozen=True)
@@ -158,28 +170,12 @@ class Smooth:
 
     def __call__(self, problem: Problem, times: Floats) -> Floats:
         """At increasing times, shape (N,); shape (N, M)."""
-        z = _solved(self.f, problem, self.z0, times)
-        return np.column_stack(self.outputs(z))
+        return self.solved(problem, times, max_step=DENSE * problem.steps[0], **REFERENCE)
 
-
-def _solved(
-    f: Callable[[float, Floats], Sequence[float]],
-    problem: Problem,
-    z0: Sequence[float],
-    times: Floats,
-) -> Floats:
-    """z at the times, shape (n, N)."""
-    found = solve_ivp(
-        f,
-        (0.0, problem.stop),
-        z0,
-        "DOP853",
-        times,
-        rtol=1e-13,
-        atol=1e-14,
-        max_step=DENSE * problem.steps[0],
-    )
-    return np.asarray(found.y, dtype=np.float64)
+    def solved(self, problem: Problem, times: Floats, **how: Any) -> Floats:
+        """The same by a solver: `how` are arguments of scipy's solve_ivp."""
+        found = solve_ivp(self.f, (0.0, problem.stop), self.z0, t_eval=times, **how)
+        return np.column_stack(self.outputs(found.y))
 
 
 @dataclass(frozen=True)
@@ -209,7 +205,9 @@ class Switched:
     band: float
     r: float
 
-    def pieces(self, problem: Problem, times: Floats) -> tuple[list[float], Floats, Floats]:
+    def pieces(
+        self, problem: Problem, times: Floats, **how: Any
+    ) -> tuple[list[float], Floats, Floats]:
         """When r switches; z, shape (n, N), and r, shape (N,), at the times."""
         time, stop, z, r = 0.0, problem.stop, np.array(self.z0), self.r
         switches: list[float] = []
@@ -222,20 +220,12 @@ class Switched:
             level.terminal = True  # type: ignore[attr-defined]
             level.direction = 1.0 if r == self.high else -1.0  # type: ignore[attr-defined]
             found = solve_ivp(
-                self.f,
-                (time, stop),
-                z,
-                "DOP853",
-                dense_output=True,
-                args=(r,),
-                events=level,
-                rtol=1e-13,
-                atol=1e-14,
-                max_step=DENSE * problem.steps[0],
+                self.f, (time, stop), z, dense_output=True, args=(r,), events=level, **how
             )
             until = float(found.t[-1])
             here = (times >= time) & (times <= until)
-            states[:, here], relays[here] = found.sol(times[here]), r
+            if here.any():
+                states[:, here], relays[here] = found.sol(times[here]), r
             time, z = until, found.y[:, -1]
             if found.status == 1:
                 switches.append(time)
@@ -244,7 +234,11 @@ class Switched:
 
     def __call__(self, problem: Problem, times: Floats) -> Floats:
         """At increasing times, shape (N,); shape (N, M)."""
-        _, states, relays = self.pieces(problem, times)
+        return self.solved(problem, times, max_step=DENSE * problem.steps[0], **REFERENCE)
+
+    def solved(self, problem: Problem, times: Floats, **how: Any) -> Floats:
+        """The same by a solver: `how` are arguments of scipy's solve_ivp."""
+        _, states, relays = self.pieces(problem, times, **how)
         return np.column_stack(self.outputs(states, relays))
 
 
@@ -563,13 +557,13 @@ def _thermostat() -> Problem:
             "relay": ("relay", {**limits, "x0": 2.0}),
         },
         ("room.y1 -> sensor.u1", "sensor.y1 -> relay.u", "relay.y -> room.u1"),
-        ("room.y1", "sensor.y1"),
+        ("room.y1", "sensor.y1", "relay.y"),
         20.0,
         (0.1, 0.05, 0.02, 0.01),
         Switched(
             lambda t, z, r: (0.2 * (r - 1.0 - z[0]), 2.0 * (z[0] - z[1])),
             lambda z: float(z[1]),
-            lambda z, r: tuple(z),
+            lambda z, r: (*z, r),
             (-0.5, -0.5),
             **limits,
             r=2.0,

@@ -41,6 +41,19 @@ WINDOW = 0.01
 MARGIN = 1.5
 """What a band is wider than the error that the difference suggests."""
 
+NEAR_PEAK, AT_PEAK = 0.5, 1.2
+"""From this share of the peak on, a difference counts less and less as an extrapolation has it; at
+the peak, it is the error but for this factor."""
+
+STARTING = 4
+"""Intervals after the start in which derivatives that come from history are of order 1."""
+
+HISTORY_ORDER = 2
+"""Of couplings that may take derivatives from the past values of an output."""
+
+JITTER = 2.0
+"""What a band is wider where something switches: delays of up to a step add up at random."""
+
 FLOOR = 1e-8
 """Of a variable's peak: no band is narrower, as rounding and unfinished iterations count, too."""
 
@@ -89,7 +102,9 @@ def variable_of(column: str) -> str:
 # -- bands ----------------------------------------------------------------------------------------
 
 
-def bands(time: Floats, difference: Floats, order: float | Floats) -> Floats:
+def bands(
+    time: Floats, difference: Floats, order: float | Floats, peaks: Floats | None = None
+) -> Floats:
     """Bands around the values of a run.
 
     Parameters
@@ -98,8 +113,10 @@ def bands(time: Floats, difference: Floats, order: float | Floats) -> Floats:
         Increasing.
     difference : array, shape (N, M)
         To the values of a run with half the step.
-    order : float or array, shape (M,)
+    order : float or array, of a shape that extends to (N, M)
         Power p of the step with which the error falls.
+    peaks : array, shape (M,), optional
+        Of the variables. A difference near the peak is most of the error, as values stay bounded.
 
     Returns
     -------
@@ -107,7 +124,13 @@ def bands(time: Floats, difference: Floats, order: float | Floats) -> Floats:
         Largest error suggested by the difference within `WINDOW` of the horizon, and where that is
         less, lines through its local maxima; times `MARGIN`.
     """
-    error = np.abs(difference) * (2.0**order / (2.0**order - 1.0))
+    factor = np.broadcast_to(2.0**order / (2.0**order - 1.0), difference.shape)
+    if peaks is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            size = np.nan_to_num(np.abs(difference) / peaks, nan=0.0)
+        large = np.clip((size - NEAR_PEAK) / (1.0 - NEAR_PEAK), 0.0, 1.0)
+        factor = factor + large * (np.minimum(factor, AT_PEAK) - factor)
+    error = np.abs(difference) * factor
     highest = _window_maxima(time, error)
     return MARGIN * np.column_stack(
         [np.maximum(column, _over_maxima(time, column)) for column in highest.T]
@@ -249,11 +272,13 @@ def trusted(
             return replace(base, trust=Trust.unknown("the run did not come to its end"))
         table = np.column_stack([base.time, base.values]) if first.sink is None else rows.rows()
         again = _Again(run, experiment, base.statistics, points.times(), table, first.interval)
+        resolved = system.resolve()
         trust = _judged(
             again,
-            system.resolve().recorded(experiment.record),
+            resolved.recorded(experiment.record),
             mode,
             _part(progress, ONE_OF_THREE, 1.0),
+            discrete=bool(resolved.discrete_links),
         )
     if first.sink is not None or trust.bands is None:
         return replace(base, trust=trust)
@@ -368,6 +393,8 @@ def _judged(
     recorded: Sequence[Recorded],
     mode: bool | str,
     progress: Callable[[float], None] | None,
+    *,
+    discrete: bool,
 ) -> Trust:
     """Make the run again, and say how far it may be off."""
     time, values, statistics = again.time, again.values, again.statistics
@@ -390,12 +417,19 @@ def _judged(
     switched = np.array(
         [_is_switched(item, column) for item, column in zip(recorded, values.T, strict=True)], bool
     )
-    order: float | Floats = float(statistics.order)
+    # Of whatever order inputs are moved, a jump that nobody announces is late by part of a step.
+    switches = bool(switched.any() or discrete)
+    order: float | Floats = 1.0 if switches else float(statistics.order)
     notes: list[_Note] = []
     if mode == "order":
         order, notes = _observed(again, difference, ~switched, peaks, names)
     floor = max(FLOOR, slave_tolerance(again.experiment) or 0.0) * peaks
-    found = np.maximum(bands(time, difference, np.maximum(order, LEAST_ORDER)), floor)
+    powers = np.full(difference.shape, np.maximum(order, LEAST_ORDER))
+    if statistics.order == HISTORY_ORDER:
+        begun = time <= again.points[: STARTING + 1][-1]
+        powers[begun] = np.minimum(powers[begun], 1.0)
+    found = bands(time, difference, powers, peaks) * (JITTER if switches else 1.0)
+    found = np.maximum(found, floor)
     found[:, switched] = _window_maxima(time, difference[:, switched])
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num(found.max(axis=0) / peaks, nan=0.0)
