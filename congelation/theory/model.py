@@ -58,6 +58,8 @@ class Variables:
         One unit for all elements, or one each (row by row). Empty: dimensionless.
     indexed : bool
         False names a 1 x 1 symbol ``u``; True names its elements ``x[1]``, ``Gamma[1,2]``.
+    first : int
+        Index of the first element: 1 as in the paper, 0 for a value and its derivatives.
     """
 
     name: str
@@ -65,6 +67,7 @@ class Variables:
     description: str
     unit: str | tuple[str, ...] = ""
     indexed: bool = True
+    first: int = 1
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -73,12 +76,12 @@ class Variables:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Element names, row by row, counted from 1 as in the paper."""
+        """Element names, row by row."""
         rows, columns = self.shape
         if not self.indexed:
             return (self.name,)
         if columns == 1:
-            return tuple(f"{self.name}[{i + 1}]" for i in range(rows))
+            return tuple(f"{self.name}[{i + self.first}]" for i in range(rows))
         return tuple(f"{self.name}[{i + 1},{j + 1}]" for i in range(rows) for j in range(columns))
 
     @property
