@@ -125,6 +125,16 @@ def read_spec(file: Path) -> Spec:
     plant, controller, special = top.attempt("structure", lambda: form.models(structure))
     units = _units(read["units"], plant, controller)
     sections = read["plant"], read["controller"]
+    if structure.get("radius") == "estimated" and "delta" in sections[1].section("start").data:
+        raise (
+            sections[1]
+            .section("start")
+            .error(
+                "delta",
+                'is given, while radius = "estimated"; leave one of them out (docs/theory.md, '
+                "'Unknown radius')",
+            )
+        )
     blocks = (
         _plant(sections[0], plant.with_units(units), file.parent),
         _block(sections[1], controller.with_units(units), special),

@@ -59,7 +59,8 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
 
     A varying gain adds |ell_b| (1/ell_b - rho_hat)^2/(2 gamma) to V, ell_b = sign_b inf |b(t)|,
     and halves c_1 .. c_{n-1}; an unknown radius adds (D - D_hat)^2/(2 gamma_D) to V, where
-    D = epsilon^2 delta^2/2; a reference leaves epsilon_r^2 delta^2 |[y_r; ..; y_r^(n-1)]|^2/2 of V'.
+    D = epsilon^2 delta^2/2; a reference leaves epsilon_r^2 delta^2 |Y|^2/2 of V', Y = [y_r; ..]
+    up to order n - 1, and with a varying gain epsilon_b^2 |Y|^2/2, Y up to order n.
 
     Of first order, V' holds (phibar . Delta) z^2, so that Controller 2 is certified with an extreme
     ell, for which that product is never positive.

@@ -169,7 +169,8 @@ def regressors_of(structure: ArrayLike | Regressors) -> Regressors:
                     "x = 0 can be kept without knowing theta (docs/theory.md, 'Nonlinear "
                     "regressors')"
                 )
-            if not np.isfinite(slope).all():
+            # CasADi makes |x_1| of sqrt(x[1]**2), and gives it the slope 0 at 0.
+            if not np.isfinite(slope).all() or "fabs" in str(phi):
                 raise InvalidInput(
                     f"phi_{i} = {text} has no derivative at x = 0; the recursion differentiates "
                     "it: give a smooth function (docs/theory.md, 'Nonlinear regressors')"
