@@ -5,7 +5,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.txt' -o -name '*.png') build_fmu.py
 
-.PHONY: help demo test test-fast fuzz check format bench corpus fmus lock clean
+.PHONY: help demo test test-fast fuzz check format bench corpus docs fmus lock clean
 
 help:
 	@echo "make demo    Figs. 1-3 of the paper from FMUs, a sweep, and a page that links them all"
@@ -15,6 +15,7 @@ help:
 	@echo "make check   format, lint, types, import layers"
 	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
 	@echo "make corpus  check the public FMUs in the folder CORPUS=.. (docs/conformance.md)"
+	@echo "make docs    the documentation as a site, in build/docs"
 	@echo "make fmus    build the FMUs into fmus/"
 	@echo "make format  put the sources into the format that make check asks for"
 	@echo "make lock    resolve the dependencies anew into requirements*.lock"
@@ -80,6 +81,11 @@ corpus: .venv/installed
 		$(BIN)/congelation check "$$fmu" --time-limit 15 --json "build/corpus/$$name.json" </dev/null \
 			| sed "s#^$(CORPUS)/##" | tee "build/corpus/$$name.txt"; \
 	done
+
+# Runs the code cells of the tutorials, too. A warning is an error.
+docs: fmus
+	$(BIN)/sphinx-build --quiet --fail-on-warning --fresh-env --builder html docs build/docs
+	@echo build/docs/index.html
 
 lock:
 	$(PYTHON) -m venv build/lock

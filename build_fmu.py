@@ -25,6 +25,7 @@ STANDARD = (
     "matched_pendulum",
     "state_feedback",
     "output_feedback",
+    "reference",
     "tracking",
     "varying_gain",
     "unknown_radius",

@@ -96,7 +96,11 @@ class Statistics:
     wall_time: float = 0.0
 
 
-@dataclass(frozen=True, eq=False)
+SHOWN = 8
+"""Names of variables that the text of a result lists."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """The rows of a run, and how it ended.
 
@@ -121,6 +125,19 @@ class Result:
     names: tuple[str, ...]
     values: npt.NDArray[np.float64]
     statistics: Statistics
+
+    def __repr__(self) -> str:
+        """The end of the run and its size, not its rows."""
+        span = f"{self.time[0]:g} .. {self.time[-1]:g} s" if len(self.time) else "no rows"
+        names = ", ".join(self.names[:SHOWN]) + (", .." if len(self.names) > SHOWN else "")
+        return "\n".join(
+            [
+                f"Result: {self.status.name}, {len(self.time)} rows of {len(self.names)}, {span}",
+                f"  {self.message}",
+                f"  {names}",
+                f"  {self.statistics.macro_steps} steps, {self.statistics.rejected} rejected",
+            ]
+        )
 
     @property
     def completed(self) -> bool:

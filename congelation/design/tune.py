@@ -49,7 +49,7 @@ __all__ = ["OBJECTIVES", "Proposal", "Tuning", "tune", "write_proposals"]
 Floats = NDArray[np.float64]
 
 OBJECTIVES = ("settling", "effort", "peak_input")
-"""Seconds until |x| stays below a bound; the integral of u^2; max |u|."""
+"""Seconds until ``|x|`` stays below a bound; the integral of u^2; max |u|."""
 
 TUNED = ("k_bar", "c", "d", "Gamma", "gamma", "epsilon", "r", "rho", "Q")
 """Parameters that candidates change, where a controller has them; matrices as a whole."""
@@ -166,7 +166,7 @@ def tune(
     wishes : mapping, optional
         Upper bounds by `OBJECTIVES`; the spec's own settling and effort where left out.
     below : float
-        What |x| has to stay below to count as settled, in the units of x.
+        What ``|x|`` has to stay below to count as settled, in the units of x.
     stop_time : float
         Seconds.
     evaluations : int

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from congelation.errors import InvalidInput, nearest
 
-__all__ = ["BASE", "Conversion", "Unit", "base_unit", "conversion", "unit_named"]
+__all__ = ["BASE", "Conversion", "Unit", "base_unit", "conversion", "known_units", "unit_named"]
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 # Exponents of the base units, and the factor to them.
@@ -87,6 +87,11 @@ class Conversion:
     factor: float = 1.0
     offset: float = 0.0
     doubt: str = ""
+
+
+def known_units() -> dict[str, Unit]:
+    """Every name that may stand in a unit, with what it means."""
+    return {name: unit_named(name) for name in (*_DERIVED, *_WITH_OFFSET)}
 
 
 def unit_named(name: str) -> Unit:

@@ -50,7 +50,7 @@ __all__ = [
 _BUILD = "build it with: congelation build SPEC.toml"
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Scenario:
     """A checked scenario.
 
@@ -118,6 +118,29 @@ class Scenario:
         lists = len(self.sweep.lists) if self.sweep is not None else 0
         spelled = partial(_python_place, lists=lists)
         self._fill(_read(Section("Scenario", "", self.document(), spelled=spelled), "run"))
+
+    def __repr__(self) -> str:
+        """What is run, without the start values of its FMUs."""
+        fmus = ", ".join(f"{c.name} ({c.fmu.name})" for c in self.system.components)
+        experiment = self.experiment
+        steps = [
+            f"{name} {value:g}"
+            for name, value in (("step", experiment.step), ("tolerance", experiment.tolerance))
+            if value is not None
+        ]
+        lines = [
+            f"Scenario: {self.title}",
+            f"  components: {fmus}; {len(self.system.connections)} connections",
+            f"  {experiment.start_time:g} .. {experiment.stop_time:g} s, "
+            + ", ".join([f"coupling {experiment.coupling}", *steps]),
+            "  variants: " + ", ".join(variant.name for variant in self.variants),
+        ]
+        if self.metrics:
+            lines.append("  metrics: " + ", ".join(metric.name for metric in self.metrics))
+        if self.sweep is not None:
+            axes = len(self.sweep.lists) + len(self.sweep.axes)
+            lines.append(f"  sweep: {axes} axes, {self.sweep.samples} samples")
+        return "\n".join(lines)
 
     @classmethod
     def from_document(cls, document: Section, file: Path, text: str) -> Scenario:

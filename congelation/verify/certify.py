@@ -88,7 +88,7 @@ class Design:
     remarks: tuple[Remark, ...] = ()
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Certification:
     """What was found of one design.
 
@@ -107,6 +107,13 @@ class Certification:
     verdict: Verdict
     reasons: tuple[str, ...]
     finding: Finding | None = None
+
+    def __repr__(self) -> str:
+        """The verdict and its reasons; the design itself would fill pages."""
+        lines = [f"{self.design.name}: {self.verdict.value}"]
+        lines += [f"  {reason}" for reason in self.reasons]
+        lines += [f"  warning: {warning}" for warning in self.warnings]
+        return "\n".join(lines)
 
     @property
     def delta(self) -> float | None:

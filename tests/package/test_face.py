@@ -103,3 +103,16 @@ def test_every_name_has_an_example() -> None:
     page = PAGE.read_text("utf-8")
     without = {n for n in cg.__all__ if n not in WITH_EXAMPLES and f"cg.{n}" not in page}
     assert without <= {"Spec", "__version__"}
+
+
+def test_what_is_returned_prints_in_ten_lines(tmp_path: Path) -> None:
+    spec = ROOT / "specs" / "scalar.toml"
+    plant, controller = cg.build(spec, out=tmp_path)
+    system = cg.System(
+        (cg.Component("plant", plant), cg.Component("controller", controller)),
+        (cg.Connection("plant.x", "controller.x"), cg.Connection("controller.u", "plant.u")),
+    )
+    scenario = cg.load_scenario(ROOT / "scenarios" / "study_monte_carlo.toml")
+    for shown in (cg.simulate(system, stop_time=1.0, step=0.1), scenario, cg.certify(spec)[0]):
+        assert len(repr(shown).splitlines()) <= 10
+        assert max(map(len, repr(shown).splitlines())) < 200

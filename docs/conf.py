@@ -1,0 +1,69 @@
+"""The documentation: `make docs` builds it into build/docs, with warnings as errors.
+
+Pages are Markdown (MyST). Code cells of the tutorials are run by the build, which makes their
+figures; the tables of the reference are written from the code by `generate.py`.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from docutils import nodes
+from latex2mathml.converter import convert
+from sphinx.application import Sphinx
+
+HERE = Path(__file__).parent
+sys.path.insert(0, str(HERE))
+
+from generate import write_notebooks, write_reference  # noqa: E402  (beside this file)
+
+project = "congelation"
+author = "the authors of congelation"
+copyright = author
+extensions = [
+    "myst_nb",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_copybutton",
+]
+html_theme = "furo"
+html_title = "congelation"
+html_extra_path = ["generated/files"]
+html_show_sphinx = False
+
+myst_enable_extensions = ["deflist", "dollarmath", "fieldlist"]
+myst_heading_anchors = 4
+myst_fence_as_directive = ["math"]
+
+nb_execution_mode = "force"
+nb_execution_in_temp = True
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_merge_streams = True
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "none"  # the docstrings say types in words and shapes
+napoleon_numpy_docstring = True
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+
+
+html_math_renderer = "mathml"
+
+
+def formula(translator, node: nodes.math | nodes.math_block) -> None:  # type: ignore[no-untyped-def]
+    """Write a formula as MathML, which browsers show without fetching anything."""
+    if isinstance(node, nodes.math_block):
+        whole = convert(node.astext(), display="block")
+        translator.body.append(f'<div style="overflow-x: auto">{whole}</div>')
+    else:
+        translator.body.append(convert(node.astext()))
+    raise nodes.SkipNode
+
+
+def setup(app: Sphinx) -> None:
+    """Write the generated pages before Sphinx looks for pages."""
+    app.add_html_math_renderer("mathml", (formula, None), (formula, None))
+    app.connect("config-inited", lambda app, config: write_reference(HERE / "generated"))
+    app.connect("config-inited", lambda app, config: write_notebooks(HERE))
