@@ -33,7 +33,7 @@ from congelation.sweep.engine import carry_out, result_folder
 from congelation.sweep.estimate import estimate
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Local, Workers
-from congelation.verify.assumptions import case_warnings
+from congelation.verify.assumptions import scenario_warnings
 from congelation.verify.reference import LARGEST_DEVIATION
 
 __all__ = ["export_ssp", "run", "sweep"]
@@ -230,12 +230,7 @@ def _load(file: Path, *, strict: bool) -> Scenario:
         The first warning, if they are to be errors.
     """
     scenario = load_scenario(file)
-    broken = {
-        f"{file}: {variant.name}: {line}": None
-        for variant in scenario.variants
-        for line in case_warnings(scenario.case(variant.settings))
-    }
-    warnings = (*scenario.warnings, *broken)
+    warnings = (*scenario.warnings, *scenario_warnings(scenario))
     if strict and warnings:
         raise InvalidInput(f"{warnings[0]} (--strict)")
     for warning in warnings:

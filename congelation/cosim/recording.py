@@ -39,6 +39,14 @@ NODES = 6
 SMOOTH_NODES = 3
 """Values with derivatives as well: the order is that of the coupling of the highest order."""
 
+SAMPLED_TOLERANCE = 1e-3
+"""How far a recorded value without a derivative may be from what the values before it predict,
+relative to nominal value plus size. Interpolation between the points is far better than that."""
+
+MOST_AMPLIFIED = 200.0
+"""Sum of the weights that such a prediction may have: more would amplify rounding. Five equal steps
+have 31."""
+
 GRID_ROUNDING = 1e-9
 """A communication point this near to a grid point, in grid intervals, is taken for it."""
 
@@ -241,6 +249,8 @@ class Columns:
     ----------
     smooth, slopes : integer arrays, shape (K,)
         The columns whose derivatives are read, and where those stand in Y.
+    sampled : integer array, shape (S,)
+        The columns known at communication points alone: Real and without derivatives.
     """
 
     def __init__(self, ensemble: Ensemble, recorded: Sequence[Recorded], *, latched: bool) -> None:
@@ -277,6 +287,25 @@ class Columns:
         every = np.array(slopes, np.intp)
         self.smooth: Indices = np.flatnonzero(every != NO_DERIVATIVE)
         self.slopes: Indices = every[self.smooth]
+        apart = {column for column, _ in (*self._slow, *self._latched)}
+        self.sampled: Indices = np.array(
+            [c for c in np.flatnonzero(every == NO_DERIVATIVE) if c not in apart], np.intp
+        )
+        self._nominal = np.array([item.variable.nominal for item in recorded])
+
+    def surprise(self, predicted: Floats) -> float:
+        """How far the sampled columns are now from predicted values, shape (S,).
+
+        The largest of them, relative to nominal value plus size. Unlike a row, it is of values
+        before their conversion to the unit of a driven input.
+        """
+        found = self.sample()
+        scale = self._nominal[self.sampled] + np.maximum(np.abs(predicted), np.abs(found))
+        return float((np.abs(found - predicted) / scale).max(initial=0.0))
+
+    def sample(self) -> Floats:
+        """The sampled columns as they are now, shape (S,)."""
+        return self.ensemble.Y[self._places[self.sampled]]
 
     def fill(self, row: Floats) -> None:
         """Write the recorded values, shape (M,), into `row`."""
@@ -303,6 +332,13 @@ class Rows(ABC):
     @abstractmethod
     def point(self, time: float) -> None:
         """A communication point."""
+
+    def unresolved(self, time: float) -> float:
+        """Whether rows between the last point and this one can be recorded well; above 1 not.
+
+        Asked before the point is handed over, and while it can still be taken back.
+        """
+        return 0.0
 
     @abstractmethod
     def before_jump(self, time: float) -> None:
@@ -364,7 +400,8 @@ class OutputGrid(Rows):
     Between two communication points, a variable whose derivative is read follows the quintic
     through values and derivatives at both and at a neighbour; any other the quintic through the
     values at three points on either side, or the nearest there are. Jumps are not interpolated
-    across.
+    across. The latter are known at the points alone, whatever they do in between (a sine of theta
+    that no input sees), so steps longer than dt must be short enough to predict them.
 
     Parameters
     ----------
@@ -383,6 +420,18 @@ class OutputGrid(Rows):
         self._times: list[float] = []
         self._values: list[Floats] = []
         self._derivatives: list[Floats] = []
+        self._samples: list[Floats] = []
+
+    def unresolved(self, time: float) -> float:
+        if time - self._times[-1] <= self._interval or not self._columns.sampled.size:
+            return 0.0
+        # As many of the latest points as do not amplify rounding; the very latest always may.
+        for first in range(len(self._times)):
+            weights, _ = differentiation(np.array(self._times[first:]), time)
+            if np.abs(weights).sum() <= MOST_AMPLIFIED:
+                break
+        predicted = weights @ np.array(self._samples[first:])
+        return self._columns.surprise(predicted) / SAMPLED_TOLERANCE
 
     def start(self, time: float) -> None:
         self._first = time
@@ -407,7 +456,7 @@ class OutputGrid(Rows):
         self._recorder.row(self._times[-1])[:] = self._values[-1]
 
     def _begin(self, time: float) -> None:
-        self._times, self._values, self._derivatives = [], [], []
+        self._times, self._values, self._derivatives, self._samples = [], [], [], []
         self._add(time)
 
     def _add(self, time: float) -> None:
@@ -418,6 +467,7 @@ class OutputGrid(Rows):
         self._values = [*self._values[-keep:], row]
         slopes = self._columns.ensemble.Y[self._columns.slopes]
         self._derivatives = [*self._derivatives[-keep:], slopes]
+        self._samples = [*self._samples[-keep:], self._columns.sample()]
 
     def _close(self) -> None:
         """What is left: nothing smooth follows on the right."""

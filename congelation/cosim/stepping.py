@@ -195,6 +195,10 @@ class Session:
             rows.point(time)
         self._count(time)
 
+    def unresolved(self, time: float) -> float:
+        """Whether the step to `time` is too long for what is recorded in it; above 1 it is."""
+        return max((rows.unresolved(time) for rows in self._rows), default=0.0)
+
     def _count(self, time: float) -> None:
         length, self._time = time - self._time, time
         self.steps += 1
@@ -332,10 +336,14 @@ def run_adaptive(
             while True:
                 end = _end(time, size.length, target)
                 trial, error = _tried(session, stepper, state, time, end, tolerance, halving)
+                if error <= 1.0:
+                    # A step may be good for the loop and too long for what is recorded in it.
+                    error = max(error, session.unresolved(end))
+                    refused = None
                 if trial is not None and error <= 1.0:
                     size = size.accepted(error, end - time, trial.order)
                     break
-                if trial is not None and stepper.halves:
+                if trial is not None and trial.error > tolerance and stepper.halves:
                     found = halving.found
                     if refused is not None and is_floor(refused, end - time, found, tolerance):
                         # What is left comes from the FMUs, whose accuracy no step betters.

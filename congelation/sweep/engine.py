@@ -10,13 +10,14 @@ from __future__ import annotations
 
 import itertools
 import time
+import warnings
 from collections import Counter, deque
 from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from congelation.errors import InvalidInput
+from congelation.errors import DesignWarning, InvalidInput
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
 from congelation.results.store import StoreError
@@ -27,6 +28,7 @@ from congelation.sweep.execute import REFUSED, Task
 from congelation.sweep.notebook import notebook_progress
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Finished, Local, Lost, Progress, Workers
+from congelation.verify.assumptions import scenario_warnings
 
 __all__ = ["Listener", "Tally", "carry_out", "read", "result_folder", "run", "sweep"]
 
@@ -103,8 +105,16 @@ def run(
         If the scenario is wrong, no run of it can begin, or the directory cannot be used.
     StoreError
         If results cannot be written.
+
+    Warns
+    -----
+    DesignWarning
+        For each assumption of the theorem that a variant breaks.
+    UserWarning
+        For what may be a mistake: a forgotten connection, units that cannot be compared.
     """
     found = read(scenario)
+    _warn(found)
     plan = plan_study(
         found,
         result_folder(found, out),
@@ -150,8 +160,16 @@ def sweep(
         If the scenario is wrong, no run of it can begin, or the directory cannot be used.
     StoreError
         If results cannot be written.
+
+    Warns
+    -----
+    DesignWarning
+        For each assumption of the theorem that a variant breaks.
+    UserWarning
+        For what may be a mistake: a forgotten connection, units that cannot be compared.
     """
     found = read(scenario)
+    _warn(found)
     plan = plan_study(
         found,
         result_folder(found, out),
@@ -168,6 +186,14 @@ def sweep(
 def read(scenario: Scenario | Path | str) -> Scenario:
     """A scenario, or the one that a file describes."""
     return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
+
+
+def _warn(scenario: Scenario) -> None:
+    """Warn the caller of `run` or `sweep` as the commands do."""
+    for line in scenario.warnings:
+        warnings.warn(line, UserWarning, stacklevel=3)
+    for line in scenario_warnings(scenario):
+        warnings.warn(line, DesignWarning, stacklevel=3)
 
 
 def result_folder(scenario: Scenario, out: Path | str | None) -> Path:

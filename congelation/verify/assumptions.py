@@ -11,11 +11,11 @@ from typing import Any, cast
 from congelation.cosim.system import Component
 from congelation.export.assumptions import degree_of, known_theta
 from congelation.export.forms import fit
-from congelation.scenario.scenario import Case
+from congelation.scenario.scenario import Case, Scenario
 from congelation.theory.assumptions import Remark, remarks_on
 from congelation.verify.reference import start_values_of, theta_of
 
-__all__ = ["case_assumptions", "case_warnings", "loops_of"]
+__all__ = ["case_assumptions", "loops_of", "scenario_warnings"]
 
 _ELEMENT = re.compile(r"(?P<name>\w+)(\[[\d,]+\])?")
 
@@ -46,9 +46,14 @@ def loops_of(case: Case) -> list[tuple[Component, Component]]:
     ]
 
 
-def case_warnings(case: Case) -> tuple[str, ...]:
-    """One line for each remark on a case: where, what, and what would do."""
-    return tuple(str(remark) for remark in case_assumptions(case))
+def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
+    """One line for each remark on a variant: where, what, and what would do."""
+    lines = {
+        f"{scenario.place}: {variant.name}: {remark}": None
+        for variant in scenario.variants
+        for remark in case_assumptions(scenario.case(variant.settings))
+    }
+    return tuple(lines)
 
 
 def _of_loop(plant: Component, controller: Component, driven: set[str]) -> tuple[Remark, ...]:

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from congelation.cosim import SlavePool, simulate, stepping
+from congelation.cosim import Output, SlavePool, simulate, stepping
 from congelation.cosim.step_control import StepSize
 from congelation.scenario.load import load_scenario
 from congelation.verify.reference import reference
@@ -150,3 +150,21 @@ def test_rejected_steps_leave_no_trace(pool, monkeypatch):
     assert forced.statistics.rejected == plain.statistics.rejected + count
     assert np.array_equal(forced.time, plain.time)
     assert np.array_equal(forced.values, plain.values)
+
+
+def test_what_no_input_sees_is_recorded_between_long_steps(pool):
+    """theta_2 of Fig. 2 swings at 20 rad/s and has no der(.): steps are as short as that needs."""
+    case = shipped("fig2", 1)
+    result = simulate(
+        case.system,
+        coupling="hermite",
+        tolerance=1e-6,
+        stop_time=4.0,
+        record=["plant.x", "plant.theta"],
+        output=Output(interval=1e-3),
+        pool=pool,
+    )
+    t = result.time
+    theta_2 = 2.0 + 0.6 * np.cos(0.25 * t) + 0.4 * np.sin(20.0 * t)
+    assert np.abs(result.values[:, result.names.index("plant.theta[2]")] - theta_2).max() < 1e-4
+    assert result.statistics.macro_steps < 500

@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 
+from congelation.errors import DesignWarning
 from congelation.results.results import Results
 from congelation.scenario.load import load_scenario
 from congelation.sweep.engine import Tally
@@ -70,6 +72,23 @@ def test_rows_and_trajectories(tmp_path: Path) -> None:
     assert trajectory.values[0, 0] == 1.0
     assert rows[0]["metric.peak_x"] == np.max(np.abs(trajectory.values[:, 0]))
     assert rows[0]["steps"] >= 100
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        ("{k_bar = 0.5", "{delta = 0.1, k_bar = 0.5"),
+        ('"controller.damping" = true', '"controller.delta" = 0.1'),
+    ],
+)
+def test_a_broken_assumption_is_warned_of(tmp_path: Path, change: tuple[str, str]) -> None:
+    with pytest.warns(DesignWarning, match=r"Controller \d: controller\.delta: 0\.1 is less than"):
+        run(tmp_path, change)
+
+
+def test_a_forgotten_connection_is_warned_of(tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match=r"plant\.u.* no connection"):
+        run(tmp_path, (', "controller.u -> plant.u"', ""))
 
 
 def test_the_horizon_ends_exactly_where_the_scenario_says(tmp_path: Path) -> None:
@@ -168,7 +187,10 @@ def test_an_fmu_that_fails_is_a_row_and_the_rest_goes_on(tmp_path: Path) -> None
 def test_a_diverging_run_keeps_what_was_recorded(tmp_path: Path) -> None:
     store = run(
         tmp_path,
-        ('connections = ["plant.x -> controller.x", "controller.u -> plant.u"]', ""),
+        (
+            'connections = ["plant.x -> controller.x", "controller.u -> plant.u"]',
+            'open = ["plant.u", "controller.x"]',
+        ),
         ("stop_time = 1.0", "stop_time = 1000.0"),
         ("step = 0.01", "step = 1.0"),
         ("[{constant = -3.0}, {square = {amplitude = 0.4, period = 0.3}}]", "-3.0"),

@@ -10,7 +10,7 @@ import pytest
 from congelation.errors import DesignWarning
 from congelation.export.build import build
 from congelation.scenario.load import load_scenario
-from congelation.verify.assumptions import case_assumptions, case_warnings
+from congelation.verify.assumptions import case_assumptions
 from congelation.verify.certify import Verdict, certify_design, designs_of
 from tests.scenarios import FMUS, SCALAR, write
 
@@ -59,7 +59,8 @@ DRIVEN = (
 
 def warnings(folder: Path, text: str, *changes: tuple[str, str]) -> tuple[str, ...]:
     scenario = load_scenario(write(folder, text, *changes))
-    return case_warnings(scenario.case(scenario.variants[0].settings))
+    remarks = case_assumptions(scenario.case(scenario.variants[0].settings))
+    return tuple(str(remark) for remark in remarks)
 
 
 def test_what_stands_gives_no_line(tmp_path):
