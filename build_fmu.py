@@ -20,7 +20,13 @@ except ModuleNotFoundError as missing:
 
 ROOT = Path(__file__).resolve().parent
 # One spec for each form.
-STANDARD = ("scalar", "matched_pendulum", "state_feedback", "output_feedback")
+STANDARD = (
+    "scalar",
+    "matched_pendulum",
+    "state_feedback",
+    "output_feedback",
+    "reference",
+)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -91,18 +91,20 @@ def commands() -> list[str]:
     for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
         arguments = [p for p in command.params if p.param_type_name == "argument"]
         options = [p for p in command.params if p.param_type_name == "option" and not p.hidden]
-        usage = " ".join(
-            (metavar if p.required else f"[{metavar}]") + ("..." if p.nargs == -1 else "")
-            for p in arguments
-            for metavar in [p.metavar or p.name.upper()]
-        )
+        usage = " ".join(_argument(p) for p in arguments)
         text = re.sub(r"\s*\n(?=\S)", " ", command.help or "")
         lines += [f"## {name}", "", f"    congelation {name} {usage}".rstrip(), "", text, ""]
-        rows = [(f"`{p.metavar or p.name.upper()}`", p.help or "", "") for p in arguments]
+        rows = [(f"`{_argument(p)}`", p.help or "", "") for p in arguments]
         rows += [(_option(p), p.help or "", _default(p)) for p in options]
         if rows:
             lines += table(["", "what it is", "default"], rows)
     return lines
+
+
+def _argument(parameter: typer.core.TyperArgument) -> str:
+    name = (parameter.metavar or parameter.name.upper()).strip("[].")
+    name += "..." if parameter.nargs == -1 else ""
+    return name if parameter.required else f"[{name}]"
 
 
 def _option(parameter: typer.core.TyperOption) -> str:

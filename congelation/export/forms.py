@@ -8,7 +8,9 @@ from typing import Any
 
 from congelation.errors import InvalidInput, nearest
 from congelation.export.equations import Special
+from congelation.signals import Slots
 from congelation.theory.adaptation import NEUTRAL, AdaptationFactory, gradient, robust
+from congelation.theory.blocks import reference
 from congelation.theory.kfilter import FilterFactory, iss_filter, standard_filter
 from congelation.theory.matching import matched_controller, matched_plant
 from congelation.theory.model import Model
@@ -18,7 +20,7 @@ from congelation.theory.scalar import scalar_controller, scalar_plant
 from congelation.theory.state_feedback import state_feedback_controller
 from congelation.theory.strict_feedback import strict_feedback_plant
 
-__all__ = ["FORMS", "Form", "Structure", "models_of"]
+__all__ = ["BLOCKS", "FORMS", "BlockForm", "Form", "Structure", "models_of"]
 
 Structure = Mapping[str, Any]
 """What a form is derived from, as numbers and lists: it goes into FMUs as JSON."""
@@ -49,6 +51,31 @@ class Form:
         """Plant, controller with every adaptation law, and its special case without them."""
         plain = Special(self.controller(structure, gradient), NEUTRAL)
         return self.plant(structure), self.controller(structure, robust), plain
+
+
+@dataclass(frozen=True)
+class BlockForm:
+    """A class of blocks that stand beside a plant and a controller.
+
+    Attributes
+    ----------
+    keys : tuple of str
+        What its structure holds.
+    model : callable
+        From the structure to the model.
+    run_time : str
+        See `congelation.export.spec.FmuSpec`.
+    optional : mapping
+        Keys that may be left out, and what they then are.
+    room : Slots
+        How many terms its profiles have room for.
+    """
+
+    keys: tuple[str, ...]
+    model: Callable[[Structure], Model]
+    run_time: str
+    optional: Mapping[str, object] = field(default_factory=dict)
+    room: Slots = field(default_factory=Slots)
 
 
 def models_of(form: str, structure: Structure) -> tuple[Model, Model]:
@@ -89,5 +116,14 @@ FORMS: Mapping[str, Form] = {
         lambda s: observer_form_plant(_order(s, "n"), _order(s, "m")),
         lambda s, law: output_feedback_controller(_order(s, "n"), _order(s, "m"), law, _filter(s)),
         {"filter": "iss"},
+    ),
+}
+
+BLOCKS: Mapping[str, BlockForm] = {
+    "reference": BlockForm(
+        ("n", "sines"),
+        lambda s: reference(_order(s, "n"), _order(s, "sines")),
+        "driven",
+        {"sines": 2},
     ),
 }

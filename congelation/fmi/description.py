@@ -42,6 +42,8 @@ class Variable:
         Unit name, empty where the FMU does not say.
     relative : bool
         Whether values are differences, to which the offset of a unit does not apply.
+    description : str
+        The FMU's own, empty where it has none.
     """
 
     name: str
@@ -53,6 +55,7 @@ class Variable:
     nominal: float = 1.0
     unit: str = ""
     relative: bool = False
+    description: str = ""
 
     @property
     def settable(self) -> bool:
@@ -226,6 +229,7 @@ def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
             if variable.relativeQuantity is None
             else variable.relativeQuantity
         ),
+        description=variable.description or "",
     )
 
 

@@ -15,6 +15,7 @@ NAMES = (
     "StateFeedbackController",
     "ObserverFormPlant",
     "OutputFeedbackController",
+    "Reference",
 )
 
 
