@@ -26,6 +26,11 @@ STANDARD = (
     "state_feedback",
     "output_feedback",
     "reference",
+    "disturbance",
+    "noise",
+    "saturation",
+    "lag",
+    "delay",
 )
 
 
