@@ -19,7 +19,7 @@ except ModuleNotFoundError as missing:
     )
 
 ROOT = Path(__file__).resolve().parent
-# One spec for each form.
+# One spec for each form, and for each scenario of scenarios/ that has FMUs of its own.
 STANDARD = (
     "scalar",
     "matched_pendulum",
@@ -31,6 +31,10 @@ STANDARD = (
     "saturation",
     "lag",
     "delay",
+    "tracking",
+    "varying_gain",
+    "unknown_radius",
+    "nonlinear",
 )
 
 

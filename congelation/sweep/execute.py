@@ -11,6 +11,7 @@ from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
 from congelation.cosim.result import Result
 from congelation.errors import CongelationError, InvalidInput
+from congelation.fmi.calls import CALLS
 from congelation.fmi.description import describe
 from congelation.results.identity import NUMERICS_VERSION
 from congelation.results.record import Trajectory
@@ -188,6 +189,7 @@ def _simulated(
         progress=progress,
         pool=pool,
     )
+    CALLS.clear()  # what ends the process from here on is no FMU
     kept = Trajectory(result.time, result.names, result.values, _units(case, result.names))
     if not result.whole:  # a metric of half a run would pass for one of a whole run
         return _outcome(result), kept
