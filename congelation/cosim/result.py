@@ -14,7 +14,13 @@ __all__ = ["Result", "RunEnded", "Statistics", "Status"]
 
 
 class Status(Enum):
-    """How a run ended; each value is a sentence, and a remedy where one is needed."""
+    """How a run ended; each value is a sentence, and a remedy where one is needed.
+
+    Examples
+    --------
+    >>> cg.Status.COMPLETED.value
+    'The run reached its stop time.'
+    """
 
     COMPLETED = "The run reached its stop time."
     TERMINATED = "An FMU ended the run before its stop time; what it says is no failure."
@@ -117,6 +123,13 @@ class Result:
         Row k holds the values at time[k]. Where a sink took the rows, `time` and `values` hold
         the last one alone.
     statistics : Statistics
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> result = cg.simulate(system, stop_time=1.0, step=0.01)
+    >>> result.values.shape == (len(result.time), len(result.names))
+    True
     """
 
     status: Status
