@@ -70,6 +70,8 @@ def __getattr__(name: str) -> typer.Typer:
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line, with the arguments of the process unless others are given, and exit."""
     words = list(sys.argv[1:] if arguments is None else arguments)
+    # Typer has no option whose value may be left out.
+    words = ["--trust=bars" if word == "--trust" else word for word in words]
     called = next((word for word in words if not word.startswith("-")), "")
     try:
         _app([called] if called in _COMMANDS else _COMMANDS)(words)
