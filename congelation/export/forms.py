@@ -10,14 +10,15 @@ from congelation.errors import InvalidInput, nearest
 from congelation.export.equations import Special
 from congelation.signals import Slots
 from congelation.theory.adaptation import NEUTRAL, AdaptationFactory, gradient, robust
-from congelation.theory.blocks import reference
+from congelation.theory.blocks import delay, disturbance, lag, noise, reference, saturation
 from congelation.theory.kfilter import FilterFactory, iss_filter, standard_filter
 from congelation.theory.matching import matched_controller, matched_plant
 from congelation.theory.model import Model
 from congelation.theory.observer_form import observer_form_plant
+from congelation.theory.options import Options
 from congelation.theory.output_feedback import output_feedback_controller
 from congelation.theory.scalar import scalar_controller, scalar_plant
-from congelation.theory.state_feedback import Options, state_feedback_controller
+from congelation.theory.state_feedback import state_feedback_controller
 from congelation.theory.strict_feedback import Nonlinear, Regressors, strict_feedback_plant
 
 __all__ = ["BLOCKS", "FORMS", "BlockForm", "Form", "Structure", "fit", "models_of"]
@@ -146,12 +147,23 @@ FORMS: Mapping[str, Form] = {
         ("tracking", "radius"),
     ),
     "observer": Form(
-        ("n", "m", "filter"),
+        ("n", "m", "filter", "tracking", "radius", "gain"),
         lambda s: observer_form_plant(_order(s, "n"), _order(s, "m")),
-        lambda s, law: output_feedback_controller(_order(s, "n"), _order(s, "m"), law, _filter(s)),
-        {"filter": "iss"},
+        lambda s, law: output_feedback_controller(
+            _order(s, "n"), _order(s, "m"), law, _filter(s), _options(s)
+        ),
+        {"filter": "iss", "tracking": None, "radius": None, "gain": None},
+        ("filter", "tracking", "radius"),
     ),
 }
+
+
+def _sized(model: Callable[[int], Model], run_time: str, room: Slots | None = None) -> BlockForm:
+    """The form of blocks of `size` equal signals."""
+    return BlockForm(
+        ("size",), lambda s: model(_order(s, "size")), run_time, {"size": 1}, room or Slots()
+    )
+
 
 BLOCKS: Mapping[str, BlockForm] = {
     "reference": BlockForm(
@@ -160,4 +172,11 @@ BLOCKS: Mapping[str, BlockForm] = {
         "driven",
         {"sines": 2},
     ),
+    "disturbance": _sized(disturbance, "driven"),
+    "noise": _sized(
+        noise, "driven", Slots(sines=0, squares=0, chirps=0, telegraphs=0, table=False, noises=1)
+    ),
+    "saturation": _sized(saturation, "block"),
+    "lag": _sized(lag, "block"),
+    "delay": _sized(delay, "delay"),
 }

@@ -112,6 +112,12 @@ def run(
         For each assumption of the theorem that a variant breaks.
     UserWarning
         For what may be a mistake: a forgotten connection, units that cannot be compared.
+
+    Examples
+    --------
+    >>> results = cg.run("scenarios/scalar.toml", out=folder / "scalar")
+    >>> [run.variant for run in results.runs]
+    ['Controller 1', 'Controller 2']
     """
     found = read(scenario)
     _warn(found)
@@ -167,6 +173,13 @@ def sweep(
         For each assumption of the theorem that a variant breaks.
     UserWarning
         For what may be a mistake: a forgotten connection, units that cannot be compared.
+
+    Examples
+    --------
+    >>> starter = cg.new("flap", folder)
+    >>> fmus = cg.build(starter / "spec.toml", out=starter / "fmus")
+    >>> len(cg.sweep(starter / "scenario.toml", out=folder / "swept").runs)
+    12
     """
     found = read(scenario)
     _warn(found)

@@ -80,7 +80,7 @@ def test_the_deviation_is_that_of_verify(tmp_path: Path) -> None:
 
 MISTAKES = {
     "open loop": (
-        (', "controller.u -> plant.u"', ""),
+        (', "controller.u -> plant.u"]', ']\nopen = ["plant.u"]'),
         r"metrics\.margin\.metric: connection 'controller\.u -> plant\.u' is missing",
     ),
     "of": (
