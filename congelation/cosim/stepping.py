@@ -14,7 +14,19 @@ from typing import Any
 
 import numpy as np
 
+from congelation.cosim.compiled import (
+    CHUNK,
+    NOT_FINITE,
+    REFUSED,
+    UNUSUAL,
+    CompiledHeld,
+    CompiledHermite,
+    Loop,
+    fits,
+)
 from congelation.cosim.coupling import AdaptiveStepper, Coupling, Stepper, Trial
+from congelation.cosim.coupling.held import GaussSeidelStepper, JacobiStepper
+from congelation.cosim.coupling.hermite import HermiteStepper
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.experiment import step_count
@@ -100,7 +112,7 @@ class Session:
         self._lands = coupling.lands_on_events and all(
             member.description.can_vary_step for member in ensemble.system.members
         )
-        self._rows = tuple(rows)
+        self.rows = tuple(rows)
         self._time = start
         self._progress = progress
         self._next_report = 0.0
@@ -143,7 +155,7 @@ class Session:
         self.stepper = self._coupling.stepper(ensemble, self._exchange, self._tolerance)
         state = self.stepper.start(self.start, None)
         self._is_initialised = True
-        for rows in self._rows:
+        for rows in self.rows:
             rows.start(self.start)
         return state
 
@@ -170,7 +182,7 @@ class Session:
         """
         ensemble = self.ensemble
         ensemble.check(before)
-        for rows in self._rows:
+        for rows in self.rows:
             rows.before_jump(before)
         ensemble.C[0] = ensemble.Y[ensemble.source]
         ensemble.C[1:] = 0.0
@@ -183,7 +195,7 @@ class Session:
         state = self.stepper.start(after, state)
         self.events += 1
         ensemble.check(after)
-        for rows in self._rows:
+        for rows in self.rows:
             rows.after_jump(after)
         self._count(after)
         return state
@@ -191,7 +203,7 @@ class Session:
     def record(self, time: float) -> None:
         """Check and record what was read at a communication point."""
         self.ensemble.check(time)
-        for rows in self._rows:
+        for rows in self.rows:
             rows.point(time)
         self._count(time)
 
@@ -207,6 +219,28 @@ class Session:
         if self._progress is not None and clock.monotonic() >= self._next_report:
             self.report((time - self.start) / (self.stop - self.start))
 
+    def took(self, loop: Loop, time: float) -> None:
+        """Count what the compiled loop did, up to the communication point `time`.
+
+        Raises
+        ------
+        RunEnded
+            TOO_MANY_STEPS.
+        """
+        if loop.steps:
+            self._time = loop.time  # where the last step began
+            self.steps += loop.steps - 1
+        self.rejected += loop.rejected
+        self.stepper.iterations += loop.passes
+        self.largest_error = max(self.largest_error, loop.largest_error)
+        if loop.steps:
+            self._count(time)
+
+    @property
+    def most(self) -> int:
+        """Steps that the compiled loop may make at once, those taken back included."""
+        return int(max(1, min(CHUNK, self._max_steps - self.steps - self.rejected)))
+
     def report(self, fraction: float) -> None:
         """Report progress, if anyone listens."""
         if self._progress is not None:
@@ -216,7 +250,7 @@ class Session:
     def finish(self, *, completed: bool) -> None:
         """Record what is still to be recorded."""
         if self._is_initialised:
-            for rows in self._rows:
+            for rows in self.rows:
                 rows.finish(self._time, completed=completed)
 
     def statistics(self, wall_time: float) -> Statistics:
@@ -257,7 +291,8 @@ def run_fixed(session: Session, state: Any, step: float) -> None:
     near = EVENT_ROUNDING * min(step, stop - start)
     event = session.next_event(start)
     time = start
-    for k in range(1, count + 1):
+    first = _run_held(session, step, count)
+    for k in range(first + 1, count + 1):
         end = stop if k == count else start + k * step
         while event <= end + near:
             before = min(just_before(event), end)
@@ -275,6 +310,40 @@ def run_fixed(session: Session, state: Any, step: float) -> None:
             state = advance(state, time, end)
             record(end)
             time = end
+
+
+def _run_held(session: Session, step: float, count: int) -> int:
+    """Make the steps of `jacobi` and `gauss_seidel` by the compiled loop, where it can.
+
+    Returns
+    -------
+    int
+        How many of all `count` steps have been made: all or none.
+    """
+    stepper, ensemble, rows = session.stepper, session.ensemble, session.rows
+    if not (isinstance(stepper, JacobiStepper | GaussSeidelStepper) and fits(ensemble, rows)):
+        return 0
+    compiled = CompiledHeld(ensemble, rows)
+    k = 0
+    while k < count:
+        code, k = compiled.run(
+            sequential=stepper.sequential,
+            start=session.start,
+            step=step,
+            stop=session.stop,
+            count=count,
+            k=k,
+            most=session.most,
+        )
+        end = session.start + k * step if k < count else session.stop
+        session.took(compiled.loop, end)
+        if code == REFUSED:
+            compiled.refuse()
+        if code == NOT_FINITE:
+            # Python says which value it is.
+            k += 1
+            session.record(session.start + k * step if k < count else session.stop)
+    return count
 
 
 def run_adaptive(
@@ -302,10 +371,25 @@ def run_adaptive(
     guess = min(stepper.first_step(state), FIRST_SHARE * horizon)
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
+    compiled = _compiled_hermite(session, tolerance)
     while time < session.stop:
         event = session.next_event(time)
         target = min(session.stop, just_before(event))
         while time < target:
+            if compiled is not None:
+                code, state, size, time = compiled.run(
+                    state,
+                    size,
+                    time,
+                    target,
+                    most=session.most,
+                    records_target=math.isinf(event),
+                )
+                session.took(compiled.loop, time)
+                if code == REFUSED:
+                    compiled.refuse()
+                if code != UNUSUAL:
+                    continue
             ensemble.save()
             refused: tuple[float, float] | None = None
             while True:
@@ -337,6 +421,18 @@ def run_adaptive(
             state = session.cross(state, time, event)
             time = event
             size = size.restarted(min(size.length, stepper.first_step(state)))
+
+
+def _compiled_hermite(session: Session, tolerance: float) -> CompiledHermite | None:
+    """The compiled loop for `hermite`, if this is a run that it makes."""
+    stepper, rows = session.stepper, session.rows
+    if not (isinstance(stepper, HermiteStepper) and fits(session.ensemble, rows)):
+        return None
+    plan = stepper.plan()
+    if plan is None:
+        return None
+    horizon = session.stop - session.start
+    return CompiledHermite(session.ensemble, rows, plan, tolerance, horizon)
 
 
 def _end(time: float, length: float, target: float) -> float:
