@@ -69,8 +69,8 @@ PROFILE = Table(
 )
 
 PROFILES = Table(
-    "theta(t) by component: a number, or an array of terms that are added up.",
-    extra=Key("theta[j]", "terms", "one component of theta(t)", table=PROFILE),
+    "theta(t) by component, or a block's signals: a number, or an array of terms to add up.",
+    extra=Key("theta[j]", "terms", "one component of theta(t), or a signal", table=PROFILE),
 )
 
 VALUES = Table(
@@ -85,7 +85,7 @@ COMPONENT = Table(
             "fmu", "text", "name of a file in a fmus/ folder, or a path ending in .fmu", None, True
         ),
         Key("start", "table", "start values: parameters, states, inputs", table=VALUES),
-        Key("profile", "table", "theta(t) of a plant", table=PROFILES),
+        Key("profile", "table", "theta(t) of a plant, signals of a block", table=PROFILES),
     ),
 )
 
@@ -250,8 +250,31 @@ STRUCTURE = Table(
             "rows phibar_{i,j} of (10) that are not 0",
             table=Table("By place.", extra=Key("i,j", "numbers", "p numbers")),
         ),
+        Key(
+            "phi",
+            "table",
+            "nonlinear regressors phi_i in place of phibar",
+            table=Table("By row.", extra=Key("i", "texts", "p formulas in x[1] .. x[i]")),
+        ),
+        Key(
+            "gain",
+            "text",
+            "the plant's input gain; varying: b(t) is the last element of theta",
+            "constant",
+            choices=("constant", "varying"),
+        ),
+        Key("tracking", "boolean", "whether the output follows a reference, input yr", False),
+        Key(
+            "radius",
+            "text",
+            "whether delta is a parameter of the law, or a term of it is estimated",
+            "known",
+            choices=("known", "estimated"),
+        ),
         Key("A", "matrix", "of x' = A x + B (u + theta^T x)"),
         Key("B", "matrix", "of x' = A x + B (u + theta^T x)"),
+        Key("size", "integer", "number of signals of a block", 1, least=1, most=LARGEST_ORDER),
+        Key("sines", "integer", "number of sines of a reference", 2, least=0, most=LARGEST_ORDER),
         Key("filter", "text", "the K-filter", "iss", choices=("iss", "standard")),
     ),
 )
@@ -264,8 +287,13 @@ PLANT = Table(
     "The plant's FMU.", (_NAME, _START, Key("profile", "table", "default theta(t)", table=PROFILES))
 )
 
+BLOCK = Table(
+    "The FMU of a block.",
+    (_NAME, _START, Key("profile", "table", "default signals", table=PROFILES)),
+)
+
 SPEC = Table(
-    "A plant and its controller to build FMUs of.",
+    "A plant and its controller, or a block, to build FMUs of.",
     (
         Key("title", "text", "one line on what it is; by default the name of the file"),
         Key(
@@ -274,7 +302,18 @@ SPEC = Table(
             "class of systems",
             None,
             True,
-            choices=("scalar", "matched", "strict-feedback", "observer"),
+            choices=(
+                "scalar",
+                "matched",
+                "strict-feedback",
+                "observer",
+                "reference",
+                "disturbance",
+                "noise",
+                "saturation",
+                "lag",
+                "delay",
+            ),
         ),
         Key("structure", "table", "what the form is derived from", table=STRUCTURE),
         Key(
@@ -288,6 +327,7 @@ SPEC = Table(
         ),
         Key("plant", "table", "the plant's FMU", table=PLANT),
         Key("controller", "table", "the controller's FMU", table=CONTROLLER),
+        Key("block", "table", "the FMU, where the form is a block", table=BLOCK),
     ),
 )
 

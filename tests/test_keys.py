@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from congelation import keys
 from congelation.cli import app
 from congelation.cosim.coupling import COUPLINGS
-from congelation.export.forms import FILTERS, FORMS
+from congelation.export.forms import BLOCKS, FILTERS, FORMS
 from congelation.scenario.axes import DISTRIBUTIONS, SAMPLINGS
 from congelation.scenario.parts import Experiment
 from congelation.toml import KINDS, Key, Table
@@ -34,10 +34,12 @@ EVERY = [key for top in (keys.SCENARIO, keys.SPEC) for table in tables(top) for 
 def test_choices_are_those_that_the_rooms_offer() -> None:
     assert keys.EXPERIMENT["coupling"].choices == tuple(COUPLINGS)
     assert keys.SWEEP["sampling"].choices == tuple(SAMPLINGS)
-    assert keys.SPEC["form"].choices == tuple(FORMS)
+    assert keys.SPEC["form"].choices == (*FORMS, *BLOCKS)
     assert keys.STRUCTURE["filter"].choices == tuple(FILTERS)
     assert {*keys.AXIS.names} == {"set", "values", "linspace", "logspace", *DISTRIBUTIONS}
-    assert {*keys.STRUCTURE.names} == {key for form in FORMS.values() for key in form.keys}
+    assert {*keys.STRUCTURE.names} == {
+        key for form in (*FORMS.values(), *BLOCKS.values()) for key in form.keys
+    }
     assert {*keys.EXPERIMENT.names} == {field.name for field in fields(Experiment)}
 
 

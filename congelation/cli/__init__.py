@@ -57,8 +57,11 @@ app.command("export-ssp")(interruptible(export_ssp))
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line, with the arguments of the process unless others are given, and exit."""
+    arguments = sys.argv[1:] if arguments is None else arguments
+    # Typer has no option whose value may be left out.
+    given = ["--trust=bars" if a == "--trust" else a for a in arguments]
     try:
-        app(arguments if arguments is None else list(arguments))
+        app(given)
     except InvalidInput as error:
         complain(str(error))
         sys.exit(BAD_INPUT)

@@ -147,7 +147,7 @@ def _line(found: Certification) -> tuple[str, list[str]]:
     return found.design.name, [
         "" if margin is None else f"{margin.value:.3g}",
         "" if margin is None else f"{margin.relative:.1e}",
-        f"{found.delta:.4g}",
+        "any" if found.delta is None else f"{found.delta:.4g}",
         f"{found.design.radius:.4g}",
         _SHORT[found.verdict],
     ]

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from congelation.cosim.coupling.hermite import HermiteState, Plan
 from congelation.cosim.coupling.points import KEPT, Points
@@ -37,6 +38,8 @@ __all__ = [
     "library",
 ]
 
+Floats = npt.NDArray[np.float64]
+
 CHUNK = 1024
 """Steps per call: progress is reported, and Ctrl-C is heard, between two calls."""
 
@@ -53,6 +56,7 @@ class _Call(ctypes.Structure):
         ("ranked", ctypes.c_void_p),
         ("references", ctypes.c_void_p),
         ("orders", ctypes.c_void_p),
+        ("note", ctypes.c_uint64),
         ("count", ctypes.c_size_t),
         ("values", ctypes.c_void_p),
         ("places", ctypes.c_void_p),
@@ -64,6 +68,11 @@ class _Call(ctypes.Structure):
 class _Slave(ctypes.Structure):
     _fields_ = [
         ("component", ctypes.c_void_p),
+        ("note", ctypes.c_void_p),
+        ("step_note", ctypes.c_uint64),
+        ("get_note", ctypes.c_uint64),
+        ("free_note", ctypes.c_uint64),
+        ("set_note", ctypes.c_uint64),
         ("step", ctypes.c_void_p),
         ("get_state", ctypes.c_void_p),
         ("free_state", ctypes.c_void_p),
@@ -220,6 +229,11 @@ class _Compiled:
         reads, writes, holds = ensemble.reads[m], ensemble.writes[m], ensemble.holds[m]
         return _Slave(
             component=slave.component,
+            note=slave.note("fmi2DoStep")[0],
+            step_note=slave.note("fmi2DoStep")[1],
+            get_note=slave.note("fmi2GetFMUstate")[1],
+            free_note=slave.note("fmi2FreeFMUstate")[1],
+            set_note=slave.note("fmi2SetFMUstate")[1],
             step=slave.address("fmi2DoStep"),
             get_state=slave.address("fmi2GetFMUstate"),
             free_state=slave.address("fmi2FreeFMUstate"),
@@ -243,6 +257,7 @@ class _Compiled:
                 call.orders = self._address(np.array(transfer.orders, np.intc))
             else:
                 call.plain = function
+            call.note = self.ensemble.slaves[m].note(transfer.function)[1]
             call.references = self._address(np.array(transfer.references, np.uintc))
             call.count = len(transfer.references)
             call.values = self._address(transfer.values)
@@ -286,44 +301,33 @@ class _Compiled:
 
 
 class CompiledHeld(_Compiled):
-    """`jacobi` and `gauss_seidel`, compiled."""
+    """`jacobi`, and with `sequential` `gauss_seidel`, compiled."""
 
-    def run(
-        self,
-        *,
-        sequential: bool,
-        start: float,
-        step: float,
-        stop: float,
-        count: int,
-        k: int,
-        most: int,
-    ) -> tuple[int, int]:
-        """Make steps k, k + 1, .. of all `count`, at most `most` of them.
+    def __init__(self, ensemble: Ensemble, rows: Sequence[Rows], *, sequential: bool) -> None:
+        super().__init__(ensemble, rows)
+        self._sequential = sequential
+
+    def run(self, time: float, ends: Floats) -> tuple[int, int]:
+        """Step from `time` to each of the points `ends`.
 
         Returns
         -------
         code : int
-            DONE; FULL; NOT_FINITE after step k; REFUSED in it.
-        k : int
-            The next step.
+            DONE, FULL, or NOT_FINITE or REFUSED in the step that was the last one.
+        made : int
+            Steps that were made and recorded.
         """
-        ensemble = self.ensemble
-        before = ensemble.Y[ensemble.source]
-        reached = ctypes.c_long()
+        ends = np.ascontiguousarray(ends)
+        before = self.ensemble.Y[self.ensemble.source]
         code = self.called(
             self.library.run_held,
-            ctypes.c_int(sequential),
-            ctypes.c_double(start),
-            ctypes.c_double(step),
-            ctypes.c_double(stop),
-            ctypes.c_long(count),
-            ctypes.c_long(k),
-            ctypes.c_long(min(count, k + most)),
+            ctypes.c_int(self._sequential),
+            ctypes.c_double(time),
+            ctypes.c_void_p(ends.ctypes.data),
+            ctypes.c_long(len(ends)),
             ctypes.c_void_p(before.ctypes.data),
-            ctypes.byref(reached),
         )
-        return code, reached.value
+        return code, self.loop.steps
 
 
 class CompiledHermite(_Compiled):

@@ -12,7 +12,16 @@ from congelation.cosim.recording import Output
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import InvalidInput
 
-__all__ = ["Experiment", "require_abilities", "require_resolved_periods", "step_count"]
+__all__ = [
+    "Experiment",
+    "require_abilities",
+    "require_resolved_periods",
+    "slave_tolerance",
+    "step_count",
+]
+
+SLAVE_SHARE = 0.1
+"""Of the tolerance of a run, the part given to the FMUs' own integration."""
 
 RESOLVED = 16.0
 """Units in the last place of time that the shortest period takes."""
@@ -128,6 +137,13 @@ class Experiment:
         if self.output_interval is not None:
             return Output(interval=self.output_interval)
         return None if self.output_every is None else Output(every=self.output_every)
+
+
+def slave_tolerance(experiment: Experiment) -> float | None:
+    """Relative tolerance that the FMUs are given; None where they keep their own."""
+    if experiment.slave_tolerance is not None or experiment.tolerance is None:
+        return experiment.slave_tolerance
+    return SLAVE_SHARE * experiment.tolerance
 
 
 def step_count(start: float, stop: float, step: float) -> int:

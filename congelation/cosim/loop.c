@@ -10,6 +10,7 @@
 
 #include <math.h>
 #include <stddef.h>
+#include <stdint.h>
 #include <string.h>
 
 #if defined(_WIN32)
@@ -33,6 +34,7 @@ typedef struct {
     RankedFunction ranked;
     const unsigned *references;
     const int *orders;        /* of `ranked` */
+    uint64_t note;            /* what stands for the call; see fmi/calls.py */
     size_t count;
     double *values;           /* read: in Y; sent: a buffer of the call, or C itself */
     const ptrdiff_t *places;  /* sent: where the values stand in C; NULL: `values` is in C */
@@ -41,6 +43,8 @@ typedef struct {
 
 typedef struct {
     void *component;
+    volatile uint64_t *note;  /* where a call is noted before it is made, in case it never returns */
+    uint64_t step_note, get_note, free_note, set_note;
     StepFunction step;
     GetStateFunction get_state, free_state;
     SetStateFunction set_state;
@@ -81,6 +85,7 @@ static int refused(Loop *loop, int status, const char *function) {
 static int call_reads(Loop *loop, const Slave *slave) {
     for (int k = 0; k < slave->n_reads; k++) {
         const Call *call = &slave->reads[k];
+        *slave->note = call->note;
         int status = call->plain
             ? call->plain(slave->component, call->references, call->count, call->values)
             : call->ranked(slave->component, call->references, call->count, call->orders, call->values);
@@ -99,6 +104,7 @@ static int call_writes(Loop *loop, const Slave *slave, const Call *calls, int co
                 for (size_t i = 0; i < call->count; i++)
                     call->values[i] = call->values[i] * call->factors[i] + call->offsets[i];
         }
+        *slave->note = call->note;
         int status = call->plain
             ? call->plain(slave->component, call->references, call->count, call->values)
             : call->ranked(slave->component, call->references, call->count, call->orders, call->values);
@@ -130,18 +136,16 @@ static void record(Loop *loop, double time) {
 
 /* -- held inputs: Jacobi, Gauss-Seidel ------------------------------------------------------------ */
 
-/* Steps first .. last - 1 of t_k = start + k h, the last of all `count` ending at stop. `sequential`:
-   each slave steps with the newest values there are. `before`, (L,), are the values of the links at
-   the beginning; afterwards those at the end. */
-EXPORT int run_held(Loop *loop, int sequential, double start, double step, double stop, long count,
-                    long first, long last, double *before, long *reached) {
+/* From `start` to each of `count` points. `sequential`: each slave steps with the newest values there
+   are. `before`, (L,), are the values of the links at the beginning; afterwards those at the end. */
+EXPORT int run_held(Loop *loop, int sequential, double start, const double *points, long count,
+                    double *before) {
     const ptrdiff_t L = loop->n_links;
     int code = DONE;
-    long k = first;
-    for (; k < last; k++) {
-        if (loop->n_rows == loop->capacity) { code = FULL; break; }
-        const double time = k == 0 ? start : start + (double)k * step;
-        const double end = k + 1 == count ? stop : start + (double)(k + 1) * step;
+    double time = start;
+    for (long k = 0; k < count; k++) {
+        if (loop->n_rows == loop->capacity) return FULL;
+        const double end = points[k];
         loop->time = time;
         if (!sequential)
             for (ptrdiff_t i = 0; i < L; i++) loop->C[i] = loop->Y[loop->source[i]];
@@ -158,6 +162,7 @@ EXPORT int run_held(Loop *loop, int sequential, double start, double step, doubl
                     loop->C[i] = loop->Y[loop->source[i]];
                 if ((code = call_writes(loop, slave, slave->holds, slave->n_holds))) goto ended;
             }
+            *slave->note = slave->step_note;
             const int status = slave->step(slave->component, time, end - time, 1);
             if (status > WARNING) { code = refused(loop, status, "fmi2DoStep"); goto ended; }
             if (sequential && (code = call_reads(loop, slave))) goto ended;
@@ -176,9 +181,9 @@ EXPORT int run_held(Loop *loop, int sequential, double start, double step, doubl
         if (!is_finite(loop)) { code = NOT_FINITE; goto ended; }
         record(loop, end);
         loop->steps++;
+        time = end;
     }
 ended:
-    *reached = k;
     return code;
 }
 
@@ -322,11 +327,13 @@ static int save(Loop *loop) {
         const Slave *slave = &loop->slaves[m];
         loop->which = m;
         if (*slave->state) {
+            *slave->note = slave->free_note;
             slave->free_state(slave->component, slave->state);
             loop->state_calls++;
         }
         *slave->state = NULL;
         loop->state_calls++;
+        *slave->note = slave->get_note;
         const int status = slave->get_state(slave->component, slave->state);
         if (status > WARNING) return refused(loop, status, "fmi2GetFMUstate");
     }
@@ -338,6 +345,7 @@ static int restore(Loop *loop) {
         const Slave *slave = &loop->slaves[m];
         loop->which = m;
         loop->state_calls++;
+        *slave->note = slave->set_note;
         const int status = slave->set_state(slave->component, *slave->state);
         if (status > WARNING) return refused(loop, status, "fmi2SetFMUstate");
     }
@@ -415,6 +423,7 @@ static int attempt(Loop *loop, const Hermite *hermite, const Memory *memory, dou
                     loop->C[row * L + k] = sum;
                 }
             if (call_writes(loop, slave, slave->writes, slave->n_writes)) return UNUSUAL;
+            *slave->note = slave->step_note;
             if (slave->step(slave->component, time, h, 1) > WARNING) return UNUSUAL;
             if (call_reads(loop, slave)) return UNUSUAL;
             for (ptrdiff_t k = 0; k < L; k++) {

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from congelation.cosim.compiled import (
     CHUNK,
@@ -35,8 +36,9 @@ from congelation.cosim.result import RunEnded, Statistics, Status
 from congelation.cosim.step_control import Halving, StepSize, halved, is_floor
 from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
-__all__ = ["Progress", "Session", "run_adaptive", "run_fixed"]
+__all__ = ["GivenPoints", "Grid", "Progress", "Session", "run_adaptive", "run_fixed"]
 
+Floats = npt.NDArray[np.float64]
 Progress = Callable[[float], None]
 
 PROGRESS_PERIOD = 0.1
@@ -268,6 +270,8 @@ class Session:
             warnings=sum(slave.log.warnings for slave in self.ensemble.slaves),
             estimated_error=max(self.largest_error, stepper.largest_error()),
             wall_time=wall_time,
+            order=stepper.order,
+            parts=2 if self._tolerance is not None and stepper.halves else 1,
         )
 
 
@@ -280,20 +284,65 @@ def just_before(event: float) -> float:
     return event - UNITS_BEFORE * math.ulp(event)
 
 
-def run_fixed(session: Session, state: Any, step: float) -> None:
-    """Step at t_0 + k h; the last step ends at the stop time exactly.
+class Grid:
+    """The points t_0 + k h for `run_fixed`, the last one at the stop time exactly."""
+
+    def __init__(self, start: float, stop: float, step: float) -> None:
+        self._start, self._stop, self._step = start, stop, step
+        self._count = step_count(start, stop, step)
+        self.near = EVENT_ROUNDING * min(step, stop - start)
+
+    def __iter__(self) -> Iterator[float]:
+        for k in range(1, self._count):
+            yield self._start + k * self._step
+        yield self._stop
+
+    def after(self, k: int, most: int) -> Floats:
+        """The points that follow the first k, at most so many of them."""
+        last = min(self._count, k + most)
+        points = np.arange(k + 1, last + 1, dtype=np.float64) * self._step + self._start
+        if last == self._count:
+            points[-1:] = self._stop
+        return points
+
+
+class GivenPoints:
+    """Any other points for `run_fixed`, the last one the stop time."""
+
+    def __init__(self, points: Sequence[float], start: float) -> None:
+        self._points = np.asarray(points)
+        self.near = EVENT_ROUNDING * float(np.diff(self._points, prepend=start).min())
+
+    def __iter__(self) -> Iterator[float]:
+        return iter(self._points.tolist())
+
+    def after(self, k: int, most: int) -> Floats:
+        """As of `Grid`."""
+        found: Floats = self._points[k : k + most]
+        return found
+
+
+def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
+    """Step from each communication point to the next; the last one is the stop time.
 
     Where a component announces a jump inside a step, the step is divided there.
+
+    Parameters
+    ----------
+    session : Session
+    state
+        Of the coupling, at the start time.
+    points : Grid or GivenPoints
+        Communication points after the start, in seconds. A jump within `near` of one is taken to
+        lie on it.
     """
-    start, stop = session.start, session.stop
+    start, near = session.start, points.near
     advance, record = session.stepper.advance, session.record
-    count = step_count(start, stop, step)
-    near = EVENT_ROUNDING * min(step, stop - start)
     event = session.next_event(start)
     time = start
-    first = _run_held(session, step, count)
-    for k in range(first + 1, count + 1):
-        end = stop if k == count else start + k * step
+    if _run_held(session, points):
+        return
+    for end in points:
         while event <= end + near:
             before = min(just_before(event), end)
             after = max(event, end) if abs(end - event) <= near else event
@@ -312,38 +361,33 @@ def run_fixed(session: Session, state: Any, step: float) -> None:
             time = end
 
 
-def _run_held(session: Session, step: float, count: int) -> int:
-    """Make the steps of `jacobi` and `gauss_seidel` by the compiled loop, where it can.
+def _run_held(session: Session, points: Grid | GivenPoints) -> bool:
+    """Make all steps by the compiled loop, where it can: those of `jacobi` and `gauss_seidel`.
 
     Returns
     -------
-    int
-        How many of all `count` steps have been made: all or none.
+    bool
+        Whether it did.
     """
     stepper, ensemble, rows = session.stepper, session.ensemble, session.rows
     if not (isinstance(stepper, JacobiStepper | GaussSeidelStepper) and fits(ensemble, rows)):
-        return 0
-    compiled = CompiledHeld(ensemble, rows)
-    k = 0
-    while k < count:
-        code, k = compiled.run(
-            sequential=stepper.sequential,
-            start=session.start,
-            step=step,
-            stop=session.stop,
-            count=count,
-            k=k,
-            most=session.most,
-        )
-        end = session.start + k * step if k < count else session.stop
-        session.took(compiled.loop, end)
+        return False
+    compiled = CompiledHeld(ensemble, rows, sequential=stepper.sequential)
+    time, k = session.start, 0
+    while len(ends := points.after(k, session.most)):
+        code, made = compiled.run(time, ends)
+        if made:
+            time = float(ends[made - 1])
+        k += made
+        session.took(compiled.loop, time)
         if code == REFUSED:
             compiled.refuse()
         if code == NOT_FINITE:
             # Python says which value it is.
+            time = float(ends[made])
             k += 1
-            session.record(session.start + k * step if k < count else session.stop)
-    return count
+            session.record(time)
+    return True
 
 
 def run_adaptive(

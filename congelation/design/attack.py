@@ -382,7 +382,9 @@ def _find(
         remarks = case_assumptions(problem.case)
         design = Design(problem.variant, problem.loop, radius, remarks)
         certified = certify_design(design, CERTIFY_SAMPLES, job.seed).holds
-        ell = problem.certificate.perturbations.ell(problem.admissible.center)
+        ell = problem.certificate.perturbations.ell(
+            problem.admissible.center, problem.admissible.half
+        )
         margins = problem.certificate.along(solution.states[rows], ell)
     except InvalidInput:  # there is no certificate for these gains
         certified, margins = False, []

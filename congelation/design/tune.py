@@ -29,7 +29,6 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TextIO
 
-import cma
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
@@ -415,6 +414,8 @@ def _descend(
     progress: Callable[[], None],
 ) -> None:
     """One run of the strategy towards a goal, from the spec's own design."""
+    import cma  # here: the import takes half a second, which other commands need not wait for
+
     options = {
         "seed": seed + 1,
         "verbose": -9,

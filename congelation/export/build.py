@@ -19,7 +19,7 @@ from pythonfmu.builder import FmuBuilder
 from congelation.errors import CongelationError, DesignWarning, InvalidInput
 from congelation.export.assumptions import spec_warnings
 from congelation.export.model_description import complete
-from congelation.export.spec import FmuSpec, Spec, read_spec
+from congelation.export.spec import BlockSpec, FmuSpec, Spec, read_buildable
 from congelation.export.stage import Staged, stage
 from congelation.fmi.validation import validate
 from congelation.places import check_folder, shipped
@@ -43,23 +43,24 @@ _MODE = 0o644 << 16
 _TOOLS = ("congelation", "casadi", "pythonfmu", "fmpy")
 
 
-def build(*specs: Spec | Path | str, out: Path | str = "fmus") -> list[Path]:
-    """Build the plant and the controller FMUs of specs.
+def build(*specs: Spec | BlockSpec | Path | str, out: Path | str = "fmus") -> list[Path]:
+    """Build the FMUs of specs: a plant and a controller each, or a block.
 
     Equal specs, built by equal versions, give byte-identical files. Beside the FMUs there is
     ``manifest.json``, with what each was built of.
 
     Parameters
     ----------
-    *specs : Spec, Path or str
-        What to build: a TOML file, or what `read_spec` made of one.
+    *specs : Spec, BlockSpec, Path or str
+        What to build: a TOML file, or what `read_spec` or `read_buildable` made of one.
     out : Path or str
         Folder for the FMUs, which replace others of the same names.
 
     Returns
     -------
     list of Path
-        The .fmu files: the plant and the controller of the first spec, of the second, and so on.
+        The .fmu files: the plant and the controller (or the block) of the first spec, of the
+        second, and so on.
 
     Raises
     ------
@@ -81,11 +82,13 @@ def build(*specs: Spec | Path | str, out: Path | str = "fmus") -> list[Path]:
     if not specs:
         raise InvalidInput("no spec is given; name one or more, such as specs/f16_pitch.toml")
     check_folder("--out", folder)
-    read = [spec if isinstance(spec, Spec) else read_spec(Path(spec)) for spec in specs]
+    read = [
+        spec if isinstance(spec, Spec | BlockSpec) else read_buildable(Path(spec)) for spec in specs
+    ]
     # No FMU may overwrite another, also where file names do not tell case apart.
-    owner: dict[str, Spec] = {}
+    owner: dict[str, Spec | BlockSpec] = {}
     for spec in read:
-        for fmu in (spec.plant, spec.controller):
+        for fmu in spec.fmus:
             other = owner.setdefault(fmu.name.lower(), spec)
             if other is not spec:
                 raise InvalidInput(
@@ -93,12 +96,12 @@ def build(*specs: Spec | Path | str, out: Path | str = "fmus") -> list[Path]:
                     "it another name, or build into another folder"
                 )
     for spec in read:
-        for line in spec_warnings(spec):
+        for line in spec_warnings(spec) if isinstance(spec, Spec) else ():
             warnings.warn(f"spec '{spec.name}': {line}", DesignWarning, stacklevel=2)
     paths: list[Path] = []
     try:
         for spec in read:
-            for fmu in (spec.plant, spec.controller):
+            for fmu in spec.fmus:
                 paths.append(_build_fmu(fmu, spec, folder))
                 _update_manifest(folder / "manifest.json", paths[-1], fmu, spec)
     except OSError as error:
@@ -106,8 +109,8 @@ def build(*specs: Spec | Path | str, out: Path | str = "fmus") -> list[Path]:
     return paths
 
 
-def _build_fmu(fmu: FmuSpec, spec: Spec, out: Path) -> Path:
-    """Build one FMU, the plant or the controller of `spec`, into the folder `out`."""
+def _build_fmu(fmu: FmuSpec, spec: Spec | BlockSpec, out: Path) -> Path:
+    """Build one FMU of `spec` into the folder `out`."""
     sources = shipped("fmu_src")
     with tempfile.TemporaryDirectory(prefix="congelation_build_") as temporary:
         folder = Path(temporary)
@@ -188,7 +191,7 @@ def _finish(raw: Path, target: Path, staged: Staged, sources: Path) -> None:
             archive.writestr(info, data)
 
 
-def _update_manifest(manifest: Path, path: Path, fmu: FmuSpec, spec: Spec) -> None:
+def _update_manifest(manifest: Path, path: Path, fmu: FmuSpec, spec: Spec | BlockSpec) -> None:
     """Enter a built FMU in the manifest, in place of an older build of the same name."""
     entries = _entries(manifest)
     with zipfile.ZipFile(path) as archive:

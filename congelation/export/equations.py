@@ -38,13 +38,17 @@ gains and returns the functions of
     outputs(x, v{theta})        outputs, then the states that are not outputs
     derivatives(x, v, d{theta}) exact time derivatives of outputs, d being the inputs' slopes
     step(t, s, h, x, k, v, theta, absolute, relative)
-"""
+{about}"""
 
 from __future__ import annotations
 
 {imports}__all__ = ["bind"]
 
 '''
+_ABOUT_SIGNALS = """
+theta being the signals and time; for the derivatives, the slopes of the signals besides. Without
+states there is no step.
+"""
 _DISPATCH = '''def bind({arguments}):
     """Close the equations over parameters and gains."""
     if {condition}:
@@ -79,7 +83,8 @@ def equations_module(model: Model, special: Special | None = None) -> str:
     used = [name for name in _FUNCTIONS if f"{name}(" in text]
     head = _HEAD.format(
         description=model.description,
-        theta="" if model.theta is None else ", theta",
+        theta=", theta" if model.driven else "",
+        about=_ABOUT_SIGNALS if model.signals is not None else "",
         imports=f"from math import {', '.join(used)}\n\n" if used else "",
     )
     return head + text
@@ -101,7 +106,10 @@ def _bind(model: Model, function: str) -> str:
     body = constants_and_functions(constants, _blocks(model))
     states = sum(len(s.variables.names) for s in model.states)
     inputs = sum(len(i.variables.names) for i in model.inputs)
-    body += ["", *_dormand_prince_step(states, inputs, varying=model.theta is not None)]
+    if states:
+        body += ["", *_dormand_prince_step(states, inputs, varying=model.driven)]
+    else:
+        body += ["", "step = None"]
     body += ["", "return rates, outputs, derivatives, step"]
     head = [
         f"def {function}({', '.join(name for name, _ in constants)}):",
@@ -119,7 +127,7 @@ def _blocks(model: Model) -> Iterable[Block]:
     x = ("x", tuple(e for s in model.states for e in s.variables.elements))
     v = ("v", tuple(e for i in model.inputs for e in i.variables.elements))
     d = ("d", tuple(e for i in model.inputs for e in Variables("", i.derivative, "").elements))
-    theta = () if model.theta is None else (("theta", model.theta.elements),)
+    theta, slopes_too = _driving(model)
     shown = {output.variables.name for output in model.outputs}
     outputs = [e for y in model.outputs for e in y.variables.elements]
     hidden = [
@@ -137,8 +145,23 @@ def _blocks(model: Model) -> Iterable[Block]:
         "outputs", (x, v, *theta), (*outputs, *hidden), "Outputs, then the states not among them."
     )
     yield Block(
-        "derivatives", (x, v, d, *theta), tuple(slopes), "Exact time derivatives of outputs."
+        "derivatives", (x, v, d, *slopes_too), tuple(slopes), "Exact time derivatives of outputs."
     )
+
+
+_Arguments = tuple[tuple[str, tuple[ca.SX, ...]], ...]
+
+
+def _driving(model: Model) -> tuple[_Arguments, _Arguments]:
+    """The argument theta of the rates and outputs, and that of the derivatives of outputs."""
+    if model.theta is not None:
+        theta = (("theta", model.theta.elements),)
+        return theta, theta
+    if model.signals is None:
+        return (), ()
+    values = (*model.signals.variables.elements, model.signals.time)
+    slopes = Variables("", model.signals.slopes, "").elements
+    return (("theta", values),), (("theta", (*values, *slopes)),)
 
 
 # J. R. Dormand and P. J. Prince, A family of embedded Runge-Kutta formulae, J. Comput. Appl.

@@ -20,6 +20,7 @@ __all__ = [
     "ScalarVariable",
     "Start",
     "interface_of",
+    "profiled_names",
     "start_names",
 ]
 
@@ -85,7 +86,7 @@ def start_names(state: State, plant: bool) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class ProfileSlots:
-    """The default profile of one component of theta, and the room for others."""
+    """The default profile of one component of theta or of one signal, and the room for others."""
 
     profile: Profile
     slots: Slots
@@ -101,9 +102,9 @@ def interface_of(model: Model, profiles: Sequence[ProfileSlots] = ()) -> Interfa
     Parameters
     ----------
     model : Model
-        A plant (with theta) or a controller.
+        A plant (with theta), a block (maybe with signals) or a controller.
     profiles : sequence of ProfileSlots
-        For a plant: one for each component of theta.
+        One for each component of theta, or for each signal.
     """
     rows: list[ScalarVariable] = []
 
@@ -118,7 +119,7 @@ def interface_of(model: Model, profiles: Sequence[ProfileSlots] = ()) -> Interfa
     dtheta = add(_dtheta(model))
     outputs = add(_outputs(model, causes))
     theta = add(_theta(model, causes))
-    next_event = add(_next_event(causes)) if plant else ()
+    next_event = add(_next_event(model, causes)) if model.driven else ()
     derivatives = add(_derivatives(model, causes))
     outputs += add(_locals(model))
     gains = add(_gains(model, causes))
@@ -126,9 +127,9 @@ def interface_of(model: Model, profiles: Sequence[ProfileSlots] = ()) -> Interfa
     starts = [vr for state in model.states for vr in add(_starts(state, plant))]
     fields = {
         f"profile[{j}]": dict(
-            zip((row.name for row in p.parameters), add(_profile(j, p)), strict=True)
+            zip((row.name for row in p.parameters), add(_profile(j, name, p)), strict=True)
         )
-        for j, p in enumerate(profiles, start=1)
+        for j, (name, p) in enumerate(zip(profiled_names(model), profiles, strict=True), start=1)
     }
     return Interface(
         tuple(rows),
@@ -145,14 +146,23 @@ def interface_of(model: Model, profiles: Sequence[ProfileSlots] = ()) -> Interfa
     )
 
 
+def profiled_names(model: Model) -> tuple[str, ...]:
+    """What the profiles of a model are of: ``theta[1]``, .. of a plant, ``r`` of a reference."""
+    return () if model.profiled is None else model.profiled.names
+
+
 class _Causes:
     """Which FMU variables stand behind the symbols of a model."""
 
     def __init__(self, model: Model, profiles: Sequence[ProfileSlots]) -> None:
         plant = model.theta is not None
-        self.theta = [
-            frozenset({f"dtheta[{j}]"} | {f"profile[{j}].{row.name}" for row in p.parameters})
+        self.profiles = [
+            frozenset(f"profile[{j}].{row.name}" for row in p.parameters)
             for j, p in enumerate(profiles, start=1)
+        ]
+        self.theta = [
+            names | {f"dtheta[{j}]"} if plant else names
+            for j, names in enumerate(self.profiles, start=1)
         ]
         self._symbols: list[ca.SX] = []
         self._names: list[frozenset[str]] = []
@@ -167,6 +177,13 @@ class _Causes:
             self._note(parameter.variables.elements, _singly(parameter.variables.names))
         if model.theta is not None:
             self._note(model.theta.elements, self.theta)
+        if model.signals is not None:
+            # What is remembered of inputs comes after their start; until then parameters say it.
+            known = frozenset(n for p in model.parameters for n in p.variables.names)
+            signals = model.signals.variables.elements
+            behind = self.profiles if model.signals.profiled else [known] * len(signals)
+            self._note(signals, behind)
+            self._note(Variables("", model.signals.slopes, "").elements, behind)
         self.gains = {
             g.variables.name: frozenset(n for name in g.arguments for n in elements_of[name])
             for g in model.gains
@@ -256,11 +273,16 @@ def _theta(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
         yield _output(name, v.description, unit, depends)
 
 
-def _next_event(causes: _Causes) -> Iterable[ScalarVariable]:
-    depends = frozenset[str]().union(*causes.theta)
-    parameters = frozenset(name for name in depends if not name.startswith("dtheta"))
-    about = "Next time at which theta or its slope jumps; infinite if it never does"
-    yield _output("next_event", about, "s", parameters)
+def _next_event(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
+    depends = frozenset[str]().union(*causes.profiles)
+    if model.profiled is None:
+        about = "Next time at which a jump of the input comes out; infinite if none does"
+        known = [i.variables for i in model.inputs] + [p.variables for p in model.parameters]
+        depends = frozenset(name for variables in known for name in variables.names)
+    else:
+        name = model.profiled.name
+        about = f"Next time at which {name} or its slope jumps; infinite if it never does"
+    yield _output("next_event", about, "s", depends)
 
 
 def _locals(model: Model) -> Iterable[ScalarVariable]:
@@ -312,8 +334,8 @@ def _starts(state: State, plant: bool) -> Iterable[ScalarVariable]:
         yield _fixed(start_name, "Real", float(start), f"Start value of {name}", unit)
 
 
-def _profile(j: int, profile: ProfileSlots) -> Iterable[ScalarVariable]:
+def _profile(j: int, of: str, profile: ProfileSlots) -> Iterable[ScalarVariable]:
     starts = profile.profile.to_flat(profile.slots)
     for row in profile.parameters:
-        about = f"Profile of theta[{j}]: {row.description}"
+        about = f"Profile of {of}: {row.description}"
         yield _fixed(f"profile[{j}].{row.name}", row.type, starts[row.name], about, row.unit)

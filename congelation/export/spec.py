@@ -26,8 +26,33 @@ The forms and the keys of their structure:
 
     scalar             none
     matched            A, B: x' = A x + B (u + theta^T x)
-    strict-feedback    n, p, phibar: (9), a table of the rows phibar_{i,j} that are not 0
+    strict-feedback    n, p, phibar: (9), a table of the rows phibar_{i,j} that are not 0;
+                       or phi: formulas, {1 = ["x[1]**2", "sin(x[1])"]}, p in each row;
+                       gain = "varying": the input gain b(t) is the last element of theta;
+                       tracking, radius = "estimated": what the law is to cope with
     observer           n, m, filter: (27), with the "iss" or the "standard" K-filter
+
+A block to put between them, or to drive them with, is a spec of one FMU:
+
+    form = "reference"
+
+    [structure]
+    n = 2
+
+    [block]
+    name = "Reference"
+    start = {amplitude = [1, 0]}
+    [block.profile]
+    r = [{square = {amplitude = 1, period = 20}}]
+
+The forms of blocks, and the keys of their structure:
+
+    reference          n, sines: yr[0] .. yr[n], a signal and its derivatives
+    disturbance        size: d[1] .. d[size], from profiles
+    noise              size: y = u + n(t), sampled random numbers
+    saturation         size: y = u within the limits
+    lag                size: T y' = gain u - y
+    delay              size: y(t) = u(t - delay)
 """
 
 from __future__ import annotations
@@ -37,21 +62,24 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
 from congelation import keys
 from congelation.errors import InvalidInput
 from congelation.export.equations import Special
-from congelation.export.forms import FORMS, Form, Structure
-from congelation.export.interface import ProfileSlots
+from congelation.export.forms import BLOCKS, FORMS, BlockForm, Form, Structure
+from congelation.export.interface import ProfileSlots, profiled_names
 from congelation.fmi.units import base_unit
 from congelation.signals import Profile, Slots
 from congelation.theory.model import Model
 from congelation.theory.values import complete_values
 from congelation.toml import Section, read_document
 
-__all__ = ["FmuSpec", "Spec", "read_spec"]
+__all__ = ["BlockSpec", "FmuSpec", "Role", "Spec", "read_buildable", "read_spec"]
+
+Role = Literal["plant", "controller", "block"]
 
 Units = Mapping[str, str | list[str]]
 
@@ -69,9 +97,12 @@ class FmuSpec:
     special : Special or None
         The simpler equations that hold with neutral adaptation settings.
     profiles : tuple of ProfileSlots
-        Of a plant: the default profile of each component of theta.
+        The default profile of each component of theta, or of each signal of a block.
     stated : frozenset of str
-        The parameters, and the components of theta, that the spec gives a value or a profile.
+        The parameters, and what has a profile, that the spec gives a value or a profile.
+    role : str
+    run_time : str
+        The module of fmu_src/python whose class of the same name the FMU's slave is.
     """
 
     name: str
@@ -79,6 +110,8 @@ class FmuSpec:
     special: Special | None = None
     profiles: tuple[ProfileSlots, ...] = ()
     stated: frozenset[str] = frozenset()
+    role: Role = "controller"
+    run_time: str = "block"
 
 
 @dataclass(frozen=True)
@@ -103,9 +136,47 @@ class Spec:
     plant: FmuSpec
     controller: FmuSpec
 
+    @property
+    def fmus(self) -> tuple[FmuSpec, ...]:
+        """What to build."""
+        return self.plant, self.controller
+
+
+@dataclass(frozen=True)
+class BlockSpec:
+    """What to build a block of, as `read_buildable` read it; its attributes are those of `Spec`."""
+
+    name: str
+    title: str
+    form: str
+    structure: Structure
+    block: FmuSpec
+
+    @property
+    def fmus(self) -> tuple[FmuSpec, ...]:
+        """What to build."""
+        return (self.block,)
+
 
 def read_spec(file: Path) -> Spec:
-    """Read a spec.
+    """Read the spec of a plant and its controller.
+
+    Raises
+    ------
+    InvalidInput
+        Naming the file, the path in it, and what would be valid.
+    """
+    spec = read_buildable(file)
+    if isinstance(spec, BlockSpec):
+        raise InvalidInput(
+            f"{file}: this is the spec of a block ({spec.form}), which can be built only; give "
+            "that of a plant and its controller"
+        )
+    return spec
+
+
+def read_buildable(file: Path) -> Spec | BlockSpec:
+    """Read a spec, of a plant and its controller or of a block.
 
     Raises
     ------
@@ -117,25 +188,53 @@ def read_spec(file: Path) -> Spec:
         raise InvalidInput(f"{file}: this is a scenario (congelation run {file}); give a spec")
     read = top.read(keys.SPEC)
     name: str = read["form"]
+    title = read["title"] or file.stem
+    unfit = ("plant", "controller") if name in BLOCKS else ("block",)
+    for key in unfit:
+        if key in top.data:
+            what = "a block" if name in BLOCKS else "a plant and its controller"
+            raise top.error(key, f"does not belong to the form '{name}', which is {what}")
+    if name in BLOCKS:
+        block = BLOCKS[name]
+        structure = _structure(read["structure"], block)
+        model = top.attempt("structure", lambda: block.model(structure))
+        measured = model.with_units(_units(read["units"], model))
+        fmu = _profiled(read["block"], measured, file.parent, block.room)
+        fmu = replace(fmu, role="block", run_time=block.run_time)
+        return BlockSpec(file.stem, title, name, structure, fmu)
     form = FORMS[name]
     structure = _structure(read["structure"], form)
     plant, controller, special = top.attempt("structure", lambda: form.models(structure))
     units = _units(read["units"], plant, controller)
     sections = read["plant"], read["controller"]
+    if structure.get("radius") == "estimated" and "delta" in sections[1].section("start").data:
+        raise (
+            sections[1]
+            .section("start")
+            .error(
+                "delta",
+                'is given, while radius = "estimated"; leave one of them out (docs/theory.md, '
+                "'Unknown radius')",
+            )
+        )
     blocks = (
-        _plant(sections[0], plant.with_units(units), file.parent),
+        replace(
+            _profiled(sections[0], plant.with_units(units), file.parent),
+            role="plant",
+            run_time="driven",
+        ),
         _block(sections[1], controller.with_units(units), special),
     )
     if blocks[0].name.lower() == blocks[1].name.lower():
         raise sections[1].error(
             "name", f"= '{blocks[1].name}' is the plant's too; give the two FMUs different names"
         )
-    return Spec(file.stem, read["title"] or file.stem, name, structure, *blocks)
+    return Spec(file.stem, title, name, structure, *blocks)
 
 
-def _structure(section: Section, form: Form) -> Structure:
+def _structure(section: Section, form: Form | BlockForm) -> Structure:
     section.only(form.keys).require(*(key for key in form.keys if key not in form.optional))
-    structure: dict[str, object] = dict(form.optional)
+    structure = {key: value for key, value in form.optional.items() if value is not None}
     for key in section.data:
         value = section.value(keys.STRUCTURE[key])
         reader = _READERS.get(key)
@@ -161,6 +260,18 @@ def _phibar(section: Section, key: str) -> list[list[list[float]]]:
     return rows
 
 
+def _phi(section: Section, key: str) -> list[list[str]]:
+    """phi_i from a table ``i = [..p formulas..]``; those left out are 0."""
+    n, p = (section.value(keys.STRUCTURE[name]) for name in ("n", "p"))
+    table = section.section(key).only([str(i) for i in range(1, n + 1)])
+    rows = [["0"] * p for _ in range(n)]
+    for place, value in table.data.items():
+        if not isinstance(value, list) or len(value) != p:
+            raise table.wrong(place, f'{p} formulas, such as "x[1]**2"')
+        rows[int(place) - 1] = [str(formula) for formula in value]
+    return rows
+
+
 def _numbers(section: Section, key: str) -> object:
     try:
         numbers = np.asarray(section.data[key], dtype=float)
@@ -171,7 +282,7 @@ def _numbers(section: Section, key: str) -> object:
     return numbers.tolist()
 
 
-_READERS = {"phibar": _phibar, "A": _numbers, "B": _numbers}
+_READERS = {"phibar": _phibar, "phi": _phi, "A": _numbers, "B": _numbers}
 
 
 def _units(section: Section, *models: Model) -> Units:
@@ -179,7 +290,7 @@ def _units(section: Section, *models: Model) -> Units:
     sizes: dict[str, int] = {}
     for model in models:
         groups = [i.variables for i in model.inputs] + [y.variables for y in model.outputs]
-        groups += [] if model.theta is None else [model.theta]
+        groups += [] if model.profiled is None else [model.profiled]
         sizes.update({v.name: len(v.names) for v in groups})
     units: dict[str, str | list[str]] = {}
     for name, value in section.only(sizes).data.items():
@@ -204,13 +315,14 @@ def _block(section: Section, model: Model, special: Special | None) -> FmuSpec:
     return FmuSpec(name, changed, special, stated=frozenset(start.data))
 
 
-def _plant(section: Section, model: Model, base: Path) -> FmuSpec:
+def _profiled(section: Section, model: Model, base: Path, room: Slots | None = None) -> FmuSpec:
+    """The FMU of a model with profiles, which have `room` for terms at least."""
     profile: Section = section.read(keys.PLANT)["profile"]
     block = _block(section.without("profile"), model, None)
-    names = model.theta.names if model.theta is not None else ()
+    names = profiled_names(model)
     table = profile.only(names)
     profiles = tuple(_profile(table, name, base) for name in names)
-    slots = tuple(ProfileSlots(p, _slots(p)) for p in profiles)
+    slots = tuple(ProfileSlots(p, _slots(p, room or Slots())) for p in profiles)
     return replace(block, profiles=slots, stated=block.stated.union(table.data))
 
 
@@ -219,15 +331,16 @@ def _profile(table: Section, name: str, base: Path) -> Profile:
     return table.attempt(name, lambda: Profile.from_spec(spec, "term", str(base)))
 
 
-def _slots(profile: Profile) -> Slots:
-    """The default room, more where the default profile needs it."""
-    room = Slots()
+def _slots(profile: Profile, room: Slots) -> Slots:
+    """The room for terms, more where the default profile needs it."""
     kinds = [term.kind for term in profile.terms]
     return Slots(
         max(room.sines, kinds.count("sine")),
         max(room.squares, kinds.count("square")),
         max(room.chirps, kinds.count("chirp")),
         max(room.telegraphs, kinds.count("telegraph")),
+        room.table or "table" in kinds,
+        max(room.noises, kinds.count("noise")),
     )
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 from congelation import signals
 from congelation.export.equations import equations_module
 from congelation.export.interface import Interface, ScalarVariable, interface_of
-from congelation.export.spec import FmuSpec, Spec
+from congelation.export.spec import BlockSpec, FmuSpec, Spec
 
 __all__ = ["Staged", "stage"]
 
@@ -60,14 +60,14 @@ class Staged:
     interface: Interface
 
 
-def stage(fmu: FmuSpec, spec: Spec, sources: Path, folder: Path) -> Staged:
+def stage(fmu: FmuSpec, spec: Spec | BlockSpec, sources: Path, folder: Path) -> Staged:
     """Write the sources of an FMU under `folder`.
 
     Parameters
     ----------
     fmu : FmuSpec
-        The plant or the controller of `spec`.
-    spec : Spec
+        One of those of `spec`.
+    spec : Spec or BlockSpec
         Goes into the FMU as ``spec.json``, so that others can derive the same equations.
     sources : Path
         The folder fmu_src.
@@ -75,10 +75,9 @@ def stage(fmu: FmuSpec, spec: Spec, sources: Path, folder: Path) -> Staged:
         An empty folder.
     """
     interface = interface_of(fmu.model, fmu.profiles)
-    is_plant = fmu.model.theta is not None
     equations = (sources / "equations" / f"{fmu.model.name}.html").read_text("utf-8")
     page = _page(fmu, interface, equations)
-    icon = (sources / ("plant.png" if is_plant else "controller.png")).read_bytes()
+    icon = (sources / f"{fmu.role}.png").read_bytes()
     about = json.dumps(_about(fmu, spec), indent=1, sort_keys=True) + "\n"
 
     # Every module of the FMU: the run time, the profiles of theta(t), what is generated.
@@ -97,12 +96,11 @@ def stage(fmu: FmuSpec, spec: Spec, sources: Path, folder: Path) -> Staged:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(text, "utf-8")
     slave = folder / f"{package}_slave.py"
-    module, base = ("plant", "Plant") if is_plant else ("block", "Block")
     slave.write_text(
         _SLAVE.format(
             package=package,
-            module=module,
-            base=base,
+            module=fmu.run_time,
+            base=fmu.run_time.capitalize(),
             name=fmu.model.name,
             description=fmu.model.description.replace("\\", "\\\\").replace('"', "'"),
         ),
@@ -133,15 +131,14 @@ def _digest(texts: Mapping[str, str]) -> str:
     return total.hexdigest()
 
 
-def _about(fmu: FmuSpec, spec: Spec) -> dict[str, object]:
-    return {
+def _about(fmu: FmuSpec, spec: Spec | BlockSpec) -> dict[str, object]:
+    about = {
         "title": spec.title,
         "form": spec.form,
         "structure": spec.structure,
-        "role": "plant" if fmu is spec.plant else "controller",
-        "plant": spec.plant.name,
-        "controller": spec.controller.name,
+        "role": fmu.role,
     }
+    return {**about, **{other.role: other.name for other in spec.fmus}}
 
 
 def _interface_module(fmu: FmuSpec, interface: Interface) -> str:
@@ -162,6 +159,8 @@ def _interface_module(fmu: FmuSpec, interface: Interface) -> str:
         "OUTPUTS": interface.outputs,
         "THETA": interface.theta,
         "NEXT_EVENT": interface.next_event[0] if interface.next_event else None,
+        # Of a block, time stands behind its signals in what the equations take.
+        "TIMED": model.signals is not None,
         "DERIVATIVES": interface.derivatives,
         "GAINS": interface.gains,
         "STARTS": interface.starts,
@@ -221,8 +220,7 @@ th, td {{ border: 1px solid #bbb; padding: 0.2em 0.6em; text-align: left; }}
 </head>
 <body>
 <h1>{name}</h1>
-<p>{description}. Equation numbers are those of K. Chen and A. Astolfi, <i>Adaptive Control of
-Linear Systems with Time-Varying Parameters</i>, American Control Conference 2018.</p>
+<p>{description}.{source}</p>
 {equations}
 <p>On a communication step [t, t + h] an input v acts as
 v + der(v) s + der(v,2) s&sup2;/2 + der(v,3) s&sup3;/6, s being the time since t; left alone, the
@@ -232,6 +230,9 @@ derivatives are 0 and v is held.</p>
 </html>
 """
 
+
+_SOURCE = """ Equation numbers are those of K. Chen and A. Astolfi, <i>Adaptive Control of
+Linear Systems with Time-Varying Parameters</i>, American Control Conference 2018."""
 
 _HEAD = "<tr><th>Name</th><th>Type</th><th>Start</th><th>Unit</th><th>Description</th></tr>"
 
@@ -246,7 +247,7 @@ _GROUPS: tuple[tuple[str, Callable[[ScalarVariable], bool]], ...] = (
         "Parameters",
         lambda v: v.causality == "parameter" and not v.name.startswith("profile["),
     ),
-    ("Parameters of &theta;(t)", lambda v: v.name.startswith("profile[")),
+    ("Parameters of profiles", lambda v: v.name.startswith("profile[")),
     ("Computed from the parameters", lambda v: v.causality == "calculatedParameter"),
     ("Inner variables", lambda v: v.causality == "local"),
 )
@@ -270,6 +271,7 @@ def _page(fmu: FmuSpec, interface: Interface, equations: str) -> str:
     return _PAGE.format(
         name=html.escape(fmu.name),
         description=html.escape(fmu.model.description),
+        source="" if fmu.role == "block" else _SOURCE,
         equations=equations.strip(),
         tables="\n".join(tables),
     )

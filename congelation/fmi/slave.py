@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import SlaveError
+from congelation.fmi.calls import CALLS
 from congelation.fmi.description import Description, Variable
 from congelation.fmi.library import DISCARD, FATAL, WARNING, Log, load
 from congelation.fmi.start import StartValue
@@ -66,6 +67,9 @@ class Slave:
         self._states: list[State] = []
         self._broken = False
         self._is_complete = False
+        # Each call is noted before it is made, so that one that never returns has a name.
+        self._note = CALLS.note
+        self._note[0] = self._code("fmi2Instantiate")
         self._fmu = load(description, name, self.log)
         self._component = ctypes.c_void_p(self._fmu.component)
         if not self._component:
@@ -76,6 +80,10 @@ class Slave:
         self._get_state = self._function("fmi2GetFMUstate")
         self._set_state = self._function("fmi2SetFMUstate")
         self._free_state = self._function("fmi2FreeFMUstate")
+        self._step_code = self._code("fmi2DoStep")
+        self._save_code = self._code("fmi2GetFMUstate")
+        self._restore_code = self._code("fmi2SetFMUstate")
+        self._free_code = self._code("fmi2FreeFMUstate")
 
     # -- life ---------------------------------------------------------------------------------
 
@@ -109,6 +117,7 @@ class Slave:
     def _terminate(self) -> None:
         if self._is_complete:
             self._is_complete = False
+            self._note[0] = self._code("fmi2Terminate")
             status = self._function("fmi2Terminate")(self._component)
             self._broken = self._broken or status >= FATAL
 
@@ -127,6 +136,7 @@ class Slave:
             self.free_states()
             self._terminate()
         if self._component and not self._broken:
+            self._note[0] = self._code("fmi2FreeInstance")
             self._function("fmi2FreeInstance", ctypes.c_void_p, returns=None)(self._component)
         self._component = ctypes.c_void_p()
 
@@ -212,9 +222,10 @@ class Slave:
         SlaveError
             It returned fmi2Error or worse.
         """
-        refusals = self.log.refusals
-        status = self._do_step(self._component, time, length, no_return)
         self.time = time
+        refusals = self.log.refusals
+        self._note[0] = self._step_code
+        status = self._do_step(self._component, time, length, no_return)
         if status > WARNING:
             self.refused("fmi2DoStep", status, refusals)
 
@@ -240,6 +251,7 @@ class Slave:
         """
         error = self.log.error
         terminated = ctypes.c_int(0)
+        self._note[0] = self._code("fmi2GetBooleanStatus")
         status = self._function("fmi2GetBooleanStatus")(
             self._component, TERMINATED_KIND, ctypes.byref(terminated)
         )
@@ -257,22 +269,27 @@ class Slave:
     def save(self) -> State:
         """fmi2GetFMUstate."""
         state = self.state_handle()
+        self._note[0] = self._save_code
         self._check("fmi2GetFMUstate", self._get_state(self._component, ctypes.byref(state)))
         return state
 
     def save_into(self, state: State) -> None:
         """Save over a state of this instance that is no longer needed."""
         # Freed first: some FMUs would overwrite the pointer and lose the memory behind it.
+        self._note[0] = self._free_code
         self._free_state(self._component, ctypes.byref(state))
         state.value = None
+        self._note[0] = self._save_code
         self._check("fmi2GetFMUstate", self._get_state(self._component, ctypes.byref(state)))
 
     def restore(self, state: State) -> None:
         """fmi2SetFMUstate."""
+        self._note[0] = self._restore_code
         self._check("fmi2SetFMUstate", self._set_state(self._component, state))
 
     def free_states(self) -> None:
         """Free every saved state."""
+        self._note[0] = self._free_code
         for state in self._states:
             if state:
                 self._free_state(self._component, ctypes.byref(state))
@@ -336,6 +353,10 @@ class Slave:
         """The address of a C function of the FMU, for compiled code."""
         return ctypes.cast(self._fmu.dll[function], ctypes.c_void_p).value or 0
 
+    def note(self, function: str) -> tuple[int, int]:
+        """Where a call of this instance is noted before it is made, and what stands for it."""
+        return ctypes.addressof(ctypes.c_char.from_buffer(self._note)), self._code(function)
+
     def _function(
         self, name: str, *argument_types: type, returns: type | None = ctypes.c_int
     ) -> Callable[..., int]:
@@ -346,7 +367,12 @@ class Slave:
             function.argtypes = argument_types
         return function  # type: ignore[no-any-return]  # fmpy publishes no types
 
+    def _code(self, function: str) -> int:
+        """What stands for a call of this instance in the note."""
+        return CALLS.code(f"{function} of {self.name} ({self.description.path.name})")
+
     def _call(self, name: str, *arguments: object) -> None:
+        self._note[0] = self._code(name)
         self._check(name, self._function(name)(self._component, *arguments))
 
     def _bound(
@@ -360,8 +386,10 @@ class Slave:
             *between,
             values.ctypes.data_as(ctypes.c_void_p),  # keeps the array alive
         )
+        note, code = self._note, self._code(name)
 
         def call() -> None:
+            note[0] = code
             status = function(*arguments)
             if status > WARNING:
                 self._fail(name, status)

@@ -20,6 +20,7 @@ import time
 from array import array
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -29,6 +30,7 @@ import pyarrow.parquet as pq
 
 from congelation.errors import InvalidInput, nearest
 from congelation.places import StoreError, check_folder, replace_whole
+from congelation.results.planned import PlannedRuns
 from congelation.results.record import GROUPS, RunRecord, Trajectory
 
 __all__ = ["Store", "StoreError", "replace_whole", "trajectory_bytes"]
@@ -77,6 +79,7 @@ class Store:
         self.database = self.root / "runs.sqlite"
         self.index = self.root / "runs.parquet"
         self._connection: sqlite3.Connection | None = None
+        self._plan: tuple[str, PlannedRuns] | None = None
 
     def trajectory_file(self, run_id: str) -> Path:
         """Where the trajectory of a run is kept."""
@@ -121,10 +124,21 @@ class Store:
                 "INSERT OR REPLACE INTO studies VALUES (?, ?, ?)",
                 (study, json.dumps(dict(about)), time.time()),
             )
+            if self._plan is None:
+                return
+            plan, known = self._plan
             connection.execute(
-                "UPDATE runs SET study = ?, number = plan.number FROM temp.plan AS plan "
-                "WHERE runs.run_id = plan.run_id",
-                (study,),
+                "INSERT OR IGNORE INTO plans VALUES (?, ?, ?)", (plan, *known.to_bytes())
+            )
+            others = connection.execute("SELECT run_id FROM runs WHERE study != ?", (study,))
+            run_ids = [run_id for (run_id,) in others]
+            connection.executemany(
+                "UPDATE runs SET study = ?, number = ? WHERE run_id = ?",
+                (
+                    (study, int(known.numbers[place]), run_id)
+                    for run_id, place in zip(run_ids, known.places(run_ids).tolist(), strict=True)
+                    if place >= 0
+                ),
             )
 
     def add(self, records: Sequence[RunRecord]) -> None:
@@ -178,44 +192,42 @@ class Store:
 
     # -- plans --------------------------------------------------------------------------------
 
-    def plan(self, run_ids: Iterable[str], again: Collection[str] | None = ()) -> Planned:
-        """Compare a plan with what is finished; the plan is kept in a temporary table.
+    def plan(
+        self, plan: str, runs: Iterable[tuple[int, str]], again: Collection[str] | None = ()
+    ) -> Comparison:
+        """Compare a plan with what is finished.
 
         Parameters
         ----------
-        run_ids : iterable of str
-            In order; one that comes again is ignored.
+        plan : str
+            Hash of all that the plan follows from. A plan that `begin` has stored is read back.
+        runs : iterable of (int, str)
+            Number and run_id of each planned run, in order. It is not used where the plan is
+            stored: to compute a million run_ids takes most of a minute.
         again : collection of str, optional
             Runs that ended with such a status are missing; None: all of them are.
         """
         connection = self._connection or self._planner()
         with self._errors():
-            connection.execute("BEGIN")
-            connection.execute(
-                "CREATE TEMP TABLE plan (run_id TEXT PRIMARY KEY, number INTEGER) WITHOUT ROWID"
-            )
-            connection.executemany(
-                "INSERT OR IGNORE INTO temp.plan VALUES (?, ?)",
-                ((run_id, number) for number, run_id in enumerate(run_ids)),
-            )
-            connection.execute("COMMIT")
-            known = "FROM temp.plan JOIN runs USING (run_id)"
-            done = known
-            if again is not None:
-                done += f" WHERE status NOT IN ({', '.join(f'{status!r}' for status in again)})"
-            ((total,),) = connection.execute("SELECT count(*) FROM temp.plan")
-            ((others,),) = connection.execute(
-                "SELECT count(*) FROM runs WHERE run_id NOT IN (SELECT run_id FROM temp.plan)"
-            )
-            missing = connection.execute(
-                "SELECT number FROM temp.plan ORDER BY number"
-                if again is None
-                else f"SELECT number FROM temp.plan WHERE run_id NOT IN (SELECT run_id {done}) "
-                "ORDER BY number"
-            )
-            numbers = array("q", (number for (number,) in missing))
-            versions = connection.execute(f"SELECT DISTINCT code_version {known}")
-            return Planned(total, numbers, others, tuple(version for (version,) in versions))
+            stored = connection.execute(
+                "SELECT keys, numbers FROM plans WHERE plan = ?", (plan,)
+            ).fetchone()
+            known = PlannedRuns.from_bytes(*stored) if stored else PlannedRuns.of(runs)
+            self._plan = (plan, known)
+            missing = np.ones(len(known), bool)
+            finished, versions = 0, set()
+            rows = connection.execute("SELECT run_id, status, code_version FROM runs")
+            total = 0
+            while batch := rows.fetchmany(ROWS_AT_ONCE):
+                total += len(batch)
+                places = known.places([run_id for run_id, _, _ in batch])
+                for place, (_, status, version) in zip(places.tolist(), batch, strict=True):
+                    if place >= 0:
+                        finished += 1
+                        versions.add(version)
+                        missing[place] = again is None or status in again
+        numbers = array("q", np.sort(known.numbers[missing].astype(np.int64)).tobytes())
+        return Comparison(len(known), numbers, total - finished, tuple(sorted(versions)))
 
     def _planner(self) -> sqlite3.Connection:
         """A connection that can plan and writes nothing into the directory."""
@@ -375,7 +387,8 @@ class Store:
             raise StoreError(f"{self.database} cannot be written: {error}") from error
 
 
-class Planned:
+@dataclass(frozen=True)
+class Comparison:
     """A plan compared with the finished runs of a directory.
 
     Parameters
@@ -383,20 +396,17 @@ class Planned:
     total : int
         Runs of the plan.
     missing : array of int
-        The places in the plan of those to do.
+        The numbers of those to do, in order.
     others : int
         Finished runs of the directory that the plan does not have.
     versions : tuple of str
         Versions of the code that the finished ones were done with.
     """
 
-    def __init__(
-        self, total: int, missing: array[int], others: int, versions: tuple[str, ...]
-    ) -> None:
-        self.total = total
-        self.missing = missing
-        self.others = others
-        self.versions = versions
+    total: int
+    missing: array[int]
+    others: int
+    versions: tuple[str, ...]
 
 
 def _row(**groups: Any) -> dict[str, Any]:
@@ -410,6 +420,9 @@ def _make_tables(connection: sqlite3.Connection) -> None:
     connection.execute(f"CREATE TABLE IF NOT EXISTS runs ({columns})")
     connection.execute(
         "CREATE TABLE IF NOT EXISTS studies (study TEXT PRIMARY KEY, about TEXT, used REAL)"
+    )
+    connection.execute(
+        "CREATE TABLE IF NOT EXISTS plans (plan TEXT PRIMARY KEY, keys BLOB, numbers BLOB)"
     )
 
 

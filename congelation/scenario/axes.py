@@ -27,6 +27,7 @@ import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -252,12 +253,27 @@ class Sweep:
         return table
 
     def points(self) -> Iterator[dict[str, Scalar]]:
-        """The settings of every point, the sample's varying fastest."""
-        sample = list(self._sample())
-        for combination in itertools.product(*self.lists, sample):
-            point = {name: value for settings in combination for name, value in settings.items()}
-            if all(constraint.holds(point) for constraint in self.constraints):
-                yield point
+        """The settings of every point that the constraints leave, the sample's varying fastest."""
+        return (point for place in range(self.size) if self.holds(point := self.point(place)))
+
+    def point(self, place: int) -> dict[str, Scalar]:
+        """The settings of a point by its place among all, those that break a constraint included.
+
+        No other point is computed, so that a study goes on in the middle at once.
+        """
+        point: dict[str, Scalar] = {}
+        if self.axes:
+            place, draw = divmod(place, self.samples)
+            for axis, u in zip(self.axes, self._sample[draw].tolist(), strict=True):
+                point[axis.name] = axis.value(u)
+        for entries in reversed(self.lists):
+            place, entry = divmod(place, len(entries))
+            point = {**entries[entry], **point}
+        return point
+
+    def holds(self, point: Settings) -> bool:
+        """Whether a point satisfies all constraints."""
+        return all(constraint.holds(point) for constraint in self.constraints)
 
     def repetitions(self) -> Iterator[tuple[int | None, Settings]]:
         """The number, from 1, and the settings of each repetition of a point.
@@ -269,13 +285,11 @@ class Sweep:
         else:
             yield from enumerate(self.replicates.seeds(self.seed), start=1)
 
-    def _sample(self) -> Iterator[Settings]:
-        if not self.axes:
-            yield {}
-            return
+    @cached_property
+    def _sample(self) -> Floats:
+        """The draws of all random axes in the unit cube, shape (samples, axes)."""
         rng = np.random.default_rng(self.seed)
-        for row in SAMPLINGS[self.sampling](self.samples, len(self.axes), rng):
-            yield {axis.name: axis.value(float(u)) for axis, u in zip(self.axes, row, strict=True)}
+        return SAMPLINGS[self.sampling](self.samples, len(self.axes), rng)
 
 
 def _list_table(entries: Sequence[Settings], place: int) -> dict[str, object]:

@@ -19,7 +19,10 @@ from congelation.toml import Section
 
 __all__ = ["SettingsReader", "component_values"]
 
-_TERM_SLOT = re.compile(r"(?P<kind>sine|square|chirp|telegraph)\[\d+\]\.amplitude")
+_PROFILE_OF = re.compile(r"Profile of (?P<name>[^:]+): ")
+_TERM_SLOT = re.compile(
+    r"(?P<kind>sine|square|chirp|telegraph|noise)\[\d+\]\.(amplitude|deviation)"
+)
 
 # The keys of the experiment that no variant may change.
 _FIXED = ("record", "options")
@@ -186,9 +189,16 @@ def _converted(quantity: Section, to: Conversion) -> object:
 
 
 def _profile_prefix(section: Section, key: str, description: Description) -> str:
-    """What the FMU's names of the profile parameters of ``theta[j]`` begin with."""
-    means = [n for n in description.variables if re.fullmatch(r"profile\[\d+\]\.mean", n)]
-    components = {f"theta[{n[8 : n.index(']')]}]": n.removesuffix("mean") for n in means}
+    """What the FMU's names of the profile parameters of ``theta[j]``, or of a signal, begin with.
+
+    The description of a profile's mean says what the profile is of.
+    """
+    components = {}
+    for name, variable in description.variables.items():
+        if match := re.fullmatch(r"profile\[(\d+)\]\.mean", name):
+            of = _PROFILE_OF.match(variable.description)
+            component = of["name"] if of else f"theta[{match[1]}]"
+            components[component] = name.removesuffix("mean")
     if not components:
         raise section.error(key, f"has no place: {description.path.name} takes no profile")
     if key not in components:
@@ -206,6 +216,7 @@ def _slots(offered: Iterable[str]) -> Slots:
         squares=kinds.count("square"),
         chirps=kinds.count("chirp"),
         telegraphs=kinds.count("telegraph"),
+        noises=kinds.count("noise"),
         table="table.file" in names,
     )
 

@@ -73,6 +73,7 @@ def run(
     out: Path | str | None = None,
     workers: int = 1,
     verify: bool = False,
+    trust: bool | str = False,
     timeout: float | None = None,
     progress: Listener | None = None,
 ) -> Results:
@@ -89,6 +90,8 @@ def run(
         Number of processes.
     verify : bool
         Whether each run that reached its stop time is compared with the monolithic solution.
+    trust : bool or str
+        Whether runs get error bars, as in `congelation.simulate`.
     timeout : float, optional
         Seconds that a run may take.
     progress : callable, optional
@@ -102,7 +105,14 @@ def run(
         If results cannot be written.
     """
     found = read(scenario)
-    plan = plan_study(found, result_folder(found, out), swept=False, verify=verify, timeout=timeout)
+    plan = plan_study(
+        found,
+        result_folder(found, out),
+        swept=False,
+        verify=verify,
+        trust=trust,
+        timeout=timeout,
+    )
     return carry_out(plan, Local(workers), progress or notebook_progress())
 
 

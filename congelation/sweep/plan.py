@@ -1,19 +1,21 @@
 """Plans: what a study consists of, what of it is finished, and what each run is identified by.
 
-The runs of a plan are generated as they are needed and never all held, so a plan of a million
-runs takes little memory. `run` plans the variants of a scenario, `sweep` every variant at every
-point of its sweep.
+The runs of a plan are computed by their numbers as they are needed, and of all of them only the
+run_ids are held, so a plan of a million runs takes little memory. The store keeps these, so that a
+study is resumed without computing them again. `run` plans the variants of a scenario, `sweep` every
+variant at every point of its sweep.
 """
 
 from __future__ import annotations
 
 import hashlib
 import itertools
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
 
 from congelation.cosim.coupling import refuse_tolerance
 from congelation.cosim.result import Status
@@ -38,6 +40,9 @@ from congelation.sweep.execute import ERROR, REFUSED, TIMED_OUT, WORKER_DIED, Jo
 
 __all__ = ["FAILURES", "Plan", "plan_study", "varied_settings"]
 
+_Run = tuple[str, Settings, int | None]
+"""Variant, settings and replicate of a run."""
+
 FAILURES = (
     *(status.name for status in Status if status not in (Status.COMPLETED, Status.TERMINATED)),
     REFUSED,
@@ -61,7 +66,7 @@ class Plan:
     total : int
         Runs of the study.
     missing : sequence of int
-        The places of those to do among all that are planned.
+        The numbers of those to do.
     others : int
         Finished runs in the result directory that are none of these.
     versions : tuple of str
@@ -79,20 +84,13 @@ class Plan:
     versions: tuple[str, ...]
     base: Mapping[str, Scalar | None]
 
-    def tasks(self, places: Sequence[int] | None = None) -> Iterator[Task]:
-        """The missing runs, or those at some places of the plan, in order."""
-        identity = _Identity(self.scenario)
-        wanted = iter(self.missing if places is None else places)
-        place = next(wanted, None)
-        for number, (variant, settings, replicate) in enumerate(
-            _runs(self.scenario, self.job.swept)
-        ):
-            if number == place:
-                run_id = identity.run_id(variant, settings)
-                yield Task(run_id, number, variant, settings, replicate)
-                place = next(wanted, None)
-            if place is None:
-                return
+    def tasks(self, numbers: Iterable[int] | None = None) -> Iterator[Task]:
+        """The missing runs, or those with some numbers of the plan, in order."""
+        runs, identity = _Runs(self.scenario, self.job.swept), _Identity(self.scenario)
+        for number in self.missing if numbers is None else numbers:
+            variant, settings, replicate = runs[number]
+            run_id = identity.run_id(variant, settings)
+            yield Task(run_id, number, variant, settings, replicate)
 
     def record(self, task: Task, outcome: Outcome) -> RunRecord:
         """The record of a run that ended."""
@@ -120,6 +118,7 @@ def plan_study(
     resume: bool = False,
     retry: Collection[str] = (),
     verify: bool = False,
+    trust: bool | str = False,
     timeout: float | None = None,
     write: bool = True,
 ) -> Plan:
@@ -139,6 +138,8 @@ def plan_study(
         Those of `FAILURES` that are done again nevertheless.
     verify : bool
         Whether runs are compared with the monolithic solution.
+    trust : bool or str
+        Whether they get error bars, as in `congelation.cosim.simulate`.
     timeout : float, optional
         Seconds that a run may take, in place of those of the sweep.
     write : bool
@@ -172,14 +173,20 @@ def plan_study(
     if write:
         store.create()
     found = store.plan(
-        (identity.run_id(variant, settings) for variant, settings, _ in _runs(scenario, swept)),
+        identity.plan(swept),
+        (
+            (number, identity.run_id(variant, settings))
+            for number, (variant, settings, _) in _Runs(scenario, swept).checked()
+        ),
         retry if swept else None,
     )
     if found.total == 0:
         raise InvalidInput(f"{scenario.place}: sweep.constraints leave no point")
     sweep = _sweep(scenario)
     described = {**about(scenario, varied_settings(scenario, swept)), "swept": swept}
-    study = content_hash({key: v for key, v in described.items() if key != "versions"})
+    study = content_hash(
+        [identity.plan(swept), {key: v for key, v in described.items() if key != "versions"}]
+    )
     job = Job(
         study=study,
         scenario=scenario.changed(sweep=None, text=""),
@@ -190,6 +197,7 @@ def plan_study(
         swept=swept,
         fmus={c.name: describe(c.fmu).sha256 for c in scenario.system.components},
         numerics=NUMERICS_VERSION,
+        trust=trust,
     )
     if write:
         store.begin(study, {**described, "planned": found.total})
@@ -211,26 +219,46 @@ def _sweep(scenario: Scenario) -> Sweep:
     return scenario.sweep if scenario.sweep is not None else Sweep()
 
 
-def _runs(scenario: Scenario, swept: bool) -> Iterator[tuple[str, Settings, int | None]]:
-    """Variant, settings and replicate of every run, checked against the experiment."""
-    sweep = _sweep(scenario) if swept else Sweep()
-    check = _Check(scenario, sweep)
-    repetitions = tuple(sweep.repetitions())
-    points = _points(scenario, sweep)
-    for point, (replicate, seeds) in (
-        itertools.product(points, repetitions) if swept else (({}, (None, {})),)
-    ):
-        for variant in scenario.variants:
-            settings = {**variant.settings, **point, **seeds}
-            check(settings)
-            yield variant.name, settings, replicate
+class _Runs:
+    """The runs of a study by number: every variant at every repetition of every point.
 
+    Points that break a constraint have numbers, too, which no run has.
+    """
 
-def _points(scenario: Scenario, sweep: Sweep) -> Iterator[dict[str, Scalar]]:
-    try:
-        yield from sweep.points()
-    except InvalidInput as error:
-        raise InvalidInput(f"{scenario.place}: sweep.constraints: {error}") from error
+    def __init__(self, scenario: Scenario, swept: bool) -> None:
+        self._scenario = scenario
+        self._sweep = _sweep(scenario) if swept else Sweep()
+        self._repetitions = tuple(self._sweep.repetitions())
+
+    def __getitem__(self, number: int) -> _Run:
+        rest, variant = divmod(number, len(self._scenario.variants))
+        place, repetition = divmod(rest, len(self._repetitions))
+        return self._run(self._sweep.point(place), repetition, variant)
+
+    def _run(self, point: Settings, repetition: int, variant: int) -> _Run:
+        changed = self._scenario.variants[variant]
+        replicate, seeds = self._repetitions[repetition]
+        return changed.name, {**changed.settings, **point, **seeds}, replicate
+
+    def checked(self) -> Iterator[tuple[int, _Run]]:
+        """Number and run of each, the settings checked against the experiment."""
+        check = _Check(self._scenario, self._sweep)
+        repetitions, variants = range(len(self._repetitions)), range(len(self._scenario.variants))
+        each = len(repetitions) * len(variants)
+        for place in range(self._sweep.size):
+            point = self._sweep.point(place)
+            try:
+                if not self._sweep.holds(point):
+                    continue
+            except InvalidInput as error:
+                place_of = f"{self._scenario.place}: sweep.constraints"
+                raise InvalidInput(f"{place_of}: {error}") from error
+            for number, (repetition, variant) in enumerate(
+                itertools.product(repetitions, variants), place * each
+            ):
+                run = self._run(point, repetition, variant)
+                check(run[1])
+                yield number, run
 
 
 class _Check:
@@ -270,13 +298,13 @@ class _Identity:
     """
 
     def __init__(self, scenario: Scenario) -> None:
-        case = scenario.case({})
+        self._scenario = scenario
         self._of_text = lru_cache(maxsize=1024)(_text_content)
-
+        case = scenario.case({})
         content = {
             "numerics": NUMERICS_VERSION,
             "components": [
-                [c.name, describe(c.fmu).sha256, {k: self._content(v) for k, v in c.start.items()}]
+                [c.name, describe(c.fmu).sha256, self._content(c.start)]
                 for c in case.system.components
             ],
             "connections": [str(connection) for connection in case.system.connections],
@@ -286,15 +314,39 @@ class _Identity:
         self._base = hashlib.sha256(text_of(content))
 
     def run_id(self, variant: str, settings: Settings) -> str:
+        """The run_id of a run: equal where all that its numbers follow from is equal."""
         digest = self._base.copy()
         # Not as JSON, which takes three times as long: a plan may have a million runs.
         content = sorted((name, self._content(value)) for name, value in settings.items())
         digest.update(f"{variant!r} {content!r}".encode())
         return digest.hexdigest()[:ID_LENGTH]
 
-    def _content(self, value: object) -> object:
-        """A start value as content; of a file that one names, what is in it."""
-        return self._of_text(value) if isinstance(value, str) else value
+    def plan(self, swept: bool) -> str:
+        """Hash of all that the numbers and run_ids of a plan follow from."""
+        sweep = _sweep(self._scenario)
+        table = sweep.document() if swept else {}
+        content = {
+            "base": self._base.hexdigest(),
+            "variants": [[v.name, self._content(v.settings)] for v in self._scenario.variants],
+            "sweep": {
+                key: self._content(value)
+                for key, value in table.items()
+                if key not in ("trajectories", "timeout")
+            },
+            # Another version of these may draw another sample from the same seed.
+            "drawn": [version("numpy"), version("scipy")] if swept and sweep.axes else [],
+        }
+        return content_hash(content)
+
+    def _content(self, value: Any) -> Any:
+        """A value as content; of a text that names a file, what is in the file."""
+        if isinstance(value, str):
+            return self._of_text(value)
+        if isinstance(value, Mapping):
+            return {key: self._content(entry) for key, entry in value.items()}
+        if isinstance(value, list | tuple):
+            return [self._content(entry) for entry in value]
+        return value
 
 
 def _text_content(value: str) -> str:

@@ -32,6 +32,7 @@ from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
 from congelation.cosim.pool import SlavePool
 from congelation.errors import CongelationError
+from congelation.fmi.calls import CALLS, NOTE_SIZE, noted_call
 from congelation.results.store import StoreError
 from congelation.sweep.execute import (
     ERROR,
@@ -167,7 +168,7 @@ class Local(Workers):
     size: int = 1
     do: Callable[..., tuple[Outcome, bytes | None]] = execute
     most: int = 16
-    _pipes: dict[Connection, SpawnProcess] = field(default_factory=dict, init=False, repr=False)
+    _pipes: dict[Connection, _Process] = field(default_factory=dict, init=False, repr=False)
     _failed_starts: int = field(default=0, init=False, repr=False)
 
     def start(self, job: Job) -> None:
@@ -230,8 +231,12 @@ class Local(Workers):
         with _interrupts_held():
             self._pool.stop()
             self._pool.join()
-        for pipe in self._pipes:
+        for pipe, process in self._pipes.items():
             pipe.close()
+            # One that Pebble was just starting would go on, and miss the pool's semaphores.
+            if process.exitcode is None:
+                process.kill()
+                process.join()
         self._pipes.clear()
 
     @property
@@ -279,15 +284,16 @@ class Local(Workers):
         run_ids = self._dropped(number)
         if begun is None:
             return list(map(Unfinished, run_ids))
-        outcome = (
-            Outcome(
-                TIMED_OUT,
-                f"The run took longer than {self._job.timeout:g} s; see sweep.timeout, --timeout.",
-                "time limit",
+        call = noted_call(process.note)
+        if timed_out:
+            message = (
+                f"The run took longer than {self._job.timeout:g} s; see sweep.timeout, --timeout."
             )
-            if timed_out
-            else _died(_exit_code(process), self._job)
-        )
+            outcome = Outcome(TIMED_OUT, f"{message}{_last(call)}", "time limit")
+        else:
+            cause = _cause(_exit_code(process))
+            message = f"The worker process ended in this run ({cause})."
+            outcome = Outcome(WORKER_DIED, f"{message}{_last(call)}", cause)
         return [Lost(begun[0], outcome), *map(Unfinished, run_ids[1:])]
 
     def _dropped(self, number: int) -> list[str]:
@@ -313,16 +319,15 @@ def _exit_code(process: SpawnProcess) -> int | None:
     return process.exitcode
 
 
-def _died(code: int | None, job: Job) -> Outcome:
+def _cause(code: int | None) -> str:
+    """What an exit code of a process says."""
     if code is None:
-        cause = "closed its pipe"
-    elif code >= 0:
-        cause = f"exit code {code}"
-    else:
-        cause = signal.Signals(-code).name
-    fmus = " or ".join(f"{c.name} ({c.fmu.name})" for c in job.scenario.system.components)
-    message = f"The worker process ended in this run ({cause}); an FMU may have ended it: {fmus}."
-    return Outcome(WORKER_DIED, message, cause)
+        return "closed its pipe"
+    return f"exit code {code}" if code >= 0 else signal.Signals(-code).name
+
+
+def _last(call: str) -> str:
+    return f" Its last FMI call: {call}." if call else " No FMI call was under way."
 
 
 # -- starting processes -----------------------------------------------------------------------
@@ -338,11 +343,13 @@ class _Process(SpawnProcess):
     == "__main__"``, and cannot do so at all from standard input.
     """
 
-    def __init__(self, register: Callable[[Connection, SpawnProcess], None], **kwargs: Any) -> None:
+    def __init__(self, register: Callable[[Connection, _Process], None], **kwargs: Any) -> None:
         super().__init__(**kwargs)
-        self._register: Callable[[Connection, SpawnProcess], None] | None = register
+        self._register: Callable[[Connection, _Process], None] | None = register
 
     def start(self) -> None:
+        # The parent reads there which FMI call the process did not survive.
+        self.note = SpawnContext().RawArray("B", NOTE_SIZE)
         receiver, self._sender = multiprocessing.Pipe(duplex=False)
         register, self._register = self._register, None  # it is not sent along
         with _STARTING, _interrupts_held(), _without_main(), _not_daemonic():
@@ -354,6 +361,7 @@ class _Process(SpawnProcess):
     def run(self) -> None:
         _end_with_parent()
         _Child.pipe = self._sender
+        CALLS.use(self.note)
         super().run()
 
 

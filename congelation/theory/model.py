@@ -23,6 +23,7 @@ __all__ = [
     "Model",
     "Output",
     "Parameter",
+    "Signals",
     "State",
     "Variables",
     "matrix",
@@ -58,6 +59,8 @@ class Variables:
         One unit for all elements, or one each (row by row). Empty: dimensionless.
     indexed : bool
         False names a 1 x 1 symbol ``u``; True names its elements ``x[1]``, ``Gamma[1,2]``.
+    first : int
+        Index of the first element of a column: 1 as in the paper, 0 for derivatives.
     """
 
     name: str
@@ -65,6 +68,7 @@ class Variables:
     description: str
     unit: str | tuple[str, ...] = ""
     indexed: bool = True
+    first: int = 1
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -73,12 +77,12 @@ class Variables:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Element names, row by row, counted from 1 as in the paper."""
+        """Element names, row by row."""
         rows, columns = self.shape
         if not self.indexed:
             return (self.name,)
         if columns == 1:
-            return tuple(f"{self.name}[{i + 1}]" for i in range(rows))
+            return tuple(f"{self.name}[{i + self.first}]" for i in range(rows))
         return tuple(f"{self.name}[{i + 1},{j + 1}]" for i in range(rows) for j in range(columns))
 
     @property
@@ -175,10 +179,38 @@ class Output:
 
 
 @dataclass(frozen=True)
-class Model:
-    """A plant or controller.
+class Signals:
+    """Functions of time that a block computes itself.
 
-    `theta` holds the unknown parameters theta(t) of a plant and is None for a controller.
+    Parameters
+    ----------
+    variables : Variables
+        Their values.
+    slopes : casadi.SX
+        Their time derivatives between events, in the shape of the values.
+    time : casadi.SX
+        Time itself, for what a block computes from it directly.
+    profiled : bool
+        Whether they follow from profiles in its parameters, or from its inputs of the past.
+    """
+
+    variables: Variables
+    slopes: ca.SX
+    time: ca.SX
+    profiled: bool = True
+
+    @classmethod
+    def of(cls, variables: Variables, profiled: bool = True) -> Signals:
+        slopes = ca.SX.sym(f"der_{variables.name}", *variables.shape)
+        return cls(variables, slopes, ca.SX.sym("time"), profiled)
+
+
+@dataclass(frozen=True)
+class Model:
+    """A plant, a controller, or a block to put between the two.
+
+    `theta` holds the unknown parameters theta(t) of a plant; `signals`, what a block computes as a
+    function of time. A controller has neither.
     """
 
     name: str
@@ -189,11 +221,27 @@ class Model:
     outputs: tuple[Output, ...]
     gains: tuple[Gain, ...] = ()
     theta: Variables | None = None
+    signals: Signals | None = None
+
+    @property
+    def profiled(self) -> Variables | None:
+        """What follows from profiles: theta(t) of a plant, signals of a block."""
+        if self.signals is None:
+            return self.theta
+        return self.signals.variables if self.signals.profiled else None
+
+    @property
+    def driven(self) -> bool:
+        """Whether the equations take a function of time, which may jump."""
+        return self.theta is not None or self.signals is not None
 
     def total_derivative(self, expression: ca.SX) -> ca.SX:
-        """d/dt of an expression in the states and inputs, by the chain rule."""
+        """d/dt of an expression in the states, inputs and signals, by the chain rule."""
         moving = [(s.variables.symbol, s.rate) for s in self.states]
         moving += [(i.variables.symbol, i.derivative) for i in self.inputs]
+        if self.signals is not None:
+            moving.append((self.signals.variables.symbol, self.signals.slopes))
+            moving.append((self.signals.time, ca.SX(1)))
         symbols = ca.vertcat(*(_column(symbol) for symbol, _ in moving))
         rates = ca.vertcat(*(_column(rate) for _, rate in moving))
         return ca.jtimes(expression, symbols, rates)  # one sweep for all of them
@@ -203,12 +251,17 @@ class Model:
         return next(y.variables.symbol for y in self.outputs if y.variables.name == name)
 
     def arguments(self) -> dict[str, ca.SX]:
-        """Every free symbol by name: states, inputs, ``der(input)``, theta, parameters, gains."""
+        """Every free symbol by name: states, inputs, ``der(input)``, theta or signals and their
+        slopes, time, parameters, gains."""
         named = {s.variables.name: s.variables.symbol for s in self.states}
         named |= {i.variables.name: i.variables.symbol for i in self.inputs}
         named |= {f"der({i.variables.name})": i.derivative for i in self.inputs}
         if self.theta is not None:
             named[self.theta.name] = self.theta.symbol
+        if self.signals is not None:
+            v = self.signals.variables
+            named |= {v.name: v.symbol, f"der({v.name})": self.signals.slopes}
+            named["time"] = self.signals.time
         named |= {p.variables.name: p.variables.symbol for p in self.parameters}
         named |= {g.variables.name: g.variables.symbol for g in self.gains}
         return named
@@ -253,6 +306,9 @@ class Model:
             parameters=tuple(replace(p, variables=measured(p.variables)) for p in self.parameters),
             outputs=tuple(replace(y, variables=measured(y.variables)) for y in self.outputs),
             theta=None if self.theta is None else measured(self.theta),
+            signals=None
+            if self.signals is None
+            else replace(self.signals, variables=measured(self.signals.variables)),
         )
 
     def evaluate(

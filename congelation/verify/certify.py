@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from congelation.errors import InvalidInput
-from congelation.export.assumptions import degree_of, spec_assumptions
+from congelation.export.assumptions import spec_assumptions
 from congelation.export.spec import Spec, read_spec
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Case, Scenario
@@ -116,9 +116,10 @@ class Certification:
         return "\n".join(lines)
 
     @property
-    def delta(self) -> float:
-        """The radius that the design is made for."""
-        return float(self.design.loop.values["delta"].item())
+    def delta(self) -> float | None:
+        """The radius that the design is made for; None: for any."""
+        values = self.design.loop.values
+        return float(values["delta"].item()) if "delta" in values else None
 
     @property
     def holds(self) -> bool:
@@ -249,7 +250,7 @@ def _is_spec(file: Path) -> bool:
 def _of_spec(spec: Spec) -> list[Design]:
     loop = close(spec.plant.model, spec.controller.model, spec.controller.model.defaults())
     profiles = [slots.profile for slots in spec.plant.profiles]
-    radius = _radius(profiles, degree_of(spec.form, spec.structure))
+    radius = _radius(loop, profiles)
     return [Design(spec.title, loop, radius, spec_assumptions(spec))]
 
 
@@ -262,33 +263,36 @@ def _of_scenario(scenario: Scenario) -> list[Design]:
             remarks = case_assumptions(case)
         except InvalidInput as error:
             raise InvalidInput(f"{scenario.file}: {variant.name}: {error}") from error
-        radius = _radius(found.profiles, _degree(found.loop))
-        designs.append(Design(variant.name, found.loop, radius, remarks))
+        radius = _radius(found.loop, found.profiles)
+        designs.append(Design(variant.name, found.certified, radius, remarks))
     return designs
 
 
 def _alone(case: Case) -> Case:
-    """The one loop of a case without what drives its dtheta, however theta(t) comes about."""
+    """The one loop of a case, without what drives its dtheta or its reference.
+
+    The certificate holds for every theta(t) and reference, however they come about.
+    """
     loops = loops_of(case)
-    if len(loops) != 1 or not any(".dtheta" in c.target for c in case.system.connections):
+    driven = [c for c in case.system.connections if _is_driven(c.target)]
+    if len(loops) != 1 or not driven:
         return case
     names = {component.name for component in loops[0]}
     connections = tuple(
         c
         for c in case.system.connections
-        if ".dtheta" not in c.target and {c.source.split(".")[0], c.target.split(".")[0]} == names
+        if not _is_driven(c.target) and {c.source.split(".")[0], c.target.split(".")[0]} == names
     )
     return replace(case, system=replace(case.system, components=loops[0], connections=connections))
 
 
-def _degree(loop: ClosedLoop) -> int | None:
-    """m of the plant (27), or None."""
-    if "sign_b_m" not in loop.values:
-        return None
-    _, theta = loop.arguments
-    return int(theta.numel() - np.size(loop.values["k"]) - 1)
+def _is_driven(target: str) -> bool:
+    """Whether an input is one that theta(t) or a reference comes in by."""
+    return target.partition(".")[2].split("[")[0] in ("dtheta", "yr")
 
 
-def _radius(profiles: Sequence[Profile], degree: int | None) -> float:
-    """delta is the radius of what varies: of a(t) alone in output feedback."""
-    return box_radius(profiles[0 if degree is None else degree + 1 :])
+def _radius(loop: ClosedLoop, profiles: Sequence[Profile]) -> float:
+    """delta is the radius of a(t) alone in output feedback, and not of an input gain b(t)."""
+    if "sign_b_m" in loop.values:
+        return box_radius(profiles[len(profiles) - np.size(loop.values["k"]) :])
+    return box_radius(profiles[: loop.state("controller", "theta_hat").symbol.numel()])

@@ -18,7 +18,7 @@ from congelation.scenario.parts import Case
 from congelation.verify.certify import certificate_of
 from congelation.verify.reference import Reference, reference
 
-__all__ = ["MOST_ROWS", "Along", "along", "center", "loop_states"]
+__all__ = ["MOST_ROWS", "Along", "along", "center", "loop_states", "radii"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -59,7 +59,7 @@ def loop_states(case: Case) -> tuple[str, ...]:
     InvalidInput
         If the system is no loop of a plant and its controller, both from `congelation build`.
     """
-    return reference(case).state_names
+    return reference(case).certified_names
 
 
 def along(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> Along:
@@ -79,11 +79,11 @@ def along(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> A
         If the system is no loop of a plant and its controller, both from `congelation build`.
     """
     found = reference(case)
-    certificate = certificate_of(found.loop)
+    certificate = certificate_of(found.certified)
     rows = np.linspace(0, len(time) - 1, min(len(time), MOST_ROWS)).round().astype(int)
-    picked = [columns.index(name) for name in found.state_names]
+    picked = [columns.index(name) for name in found.certified_names]
     states = values[rows][:, picked]
-    ell = certificate.perturbations.ell(center(found))
+    ell = certificate.perturbations.ell(center(found), radii(found))
     margins = certificate.along(states, ell)
     return Along(
         time[rows],
@@ -99,3 +99,10 @@ def center(found: Reference) -> Floats:
         raise InvalidInput("theta(t) has no bounds")
     middle: Floats = np.mean(bounds, axis=1) + np.array(found.offsets)
     return middle
+
+
+def radii(found: Reference) -> Floats:
+    """Half the sides of the box that theta(t) fills."""
+    bounds = np.array([profile.bounds() for profile in found.profiles])
+    half: Floats = (bounds[:, 1] - bounds[:, 0]) / 2
+    return half

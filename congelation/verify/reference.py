@@ -12,10 +12,11 @@ import json
 import math
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
+import casadi as ca
 import fmpy
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +24,7 @@ import numpy.typing as npt
 from congelation.cosim.result import Result
 from congelation.cosim.system import Component, System
 from congelation.errors import CongelationError, InvalidInput
-from congelation.export.forms import models_of
+from congelation.export.forms import fit, models_of
 from congelation.export.interface import start_names
 from congelation.fmi.description import describe
 from congelation.fmi.start import resolve_start
@@ -32,7 +33,7 @@ from congelation.scenario.parts import Case, Experiment, Scalar
 from congelation.signals import Profile
 from congelation.signals import Segment as Piece
 from congelation.theory.closed_loop import ClosedLoop, Segment, close
-from congelation.theory.model import Model
+from congelation.theory.model import Model, Output
 
 __all__ = [
     "LARGEST_DEVIATION",
@@ -81,6 +82,8 @@ class Reference:
     ----------
     plant, controller : str
         Names of the components.
+    source : str
+        Name of the component that the controller's reference comes from; empty: there is none.
     loop : ClosedLoop
     profiles : tuple of Profile
         theta(t), component by component, without the constants dtheta.
@@ -94,6 +97,7 @@ class Reference:
 
     plant: str
     controller: str
+    source: str
     loop: ClosedLoop
     profiles: tuple[Profile, ...]
     offsets: tuple[float, ...]
@@ -122,9 +126,22 @@ class Reference:
             for name, values in zip(names, (*solution.states.T, *solution.outputs.T), strict=True)
         }
 
+    @cached_property
+    def certified(self) -> ClosedLoop:
+        """The loop that the certificate is of: whatever the reference, it is among the states."""
+        if self.loop.source is None:
+            return self.loop
+        return close(self.loop.plant, self.loop.controller, self.loop.values)
+
+    @property
+    def certified_names(self) -> tuple[str, ...]:
+        """The states of that loop as ``component.variable``."""
+        return tuple(self._name(name) for name in self.certified.state_names)
+
     def _name(self, name: str) -> str:
         side, _, variable = name.partition(".")
-        return f"{self.plant if side == 'plant' else self.controller}.{variable}"
+        names = {"plant": self.plant, "controller": self.controller, "source": self.source}
+        return f"{names[side]}.{variable}"
 
 
 def reference(case: Case) -> Reference:
@@ -139,7 +156,8 @@ def reference(case: Case) -> Reference:
     models = _models(plant, controller)
     _check_loop(case.system, plant, controller, models)
     values = {component.name: start_values_of(component) for component in (plant, controller)}
-    loop = close(*models, _parameters(models[1], values[controller.name]))
+    source = _constant(models[1], values[controller.name])
+    loop = close(*models, _parameters(models[1], values[controller.name]), source)
     states = {
         state.variables.name: [
             float(values[c.name][name]) for name in start_names(state, c is plant)
@@ -148,16 +166,29 @@ def reference(case: Case) -> Reference:
         for state in model.states
     }
     profiles, offsets = theta_of(values[plant.name])
-    segments = _segments(case, profiles, offsets)
     return Reference(
         plant.name,
         controller.name,
+        "",
         loop,
         tuple(profiles),
         tuple(offsets),
-        segments,
+        _segments(case, profiles, offsets),
         loop.start(states),
     )
+
+
+def _constant(controller: Model, values: Mapping[str, Scalar]) -> Model | None:
+    """The reference of a controller that nothing drives: the held start values of its input."""
+    outputs = []
+    for entry in controller.inputs:
+        v = entry.variables
+        if v.first == 0:
+            numbers = ca.SX(ca.DM([float(values[name]) for name in v.names]))
+            outputs.append(Output(replace(v, symbol=numbers)))
+    if not outputs:
+        return None
+    return Model("Constant", "A constant reference", (), (), (), tuple(outputs))
 
 
 def compare(found: Reference, trajectory: Trajectory) -> tuple[Deviation, ...]:
@@ -256,9 +287,12 @@ def _spec(component: Component) -> dict[str, Any]:
 
 def _models(plant: Component, controller: Component) -> tuple[Model, Model]:
     specs = [_spec(plant), _spec(controller)]
-    if len({json.dumps([s["form"], s["structure"]], sort_keys=True) for s in specs}) > 1:
-        raise InvalidInput(f"{plant.name} and {controller.name} are of different specs")
-    return models_of(specs[0]["form"], specs[0]["structure"])
+    if not fit(*specs):
+        raise InvalidInput(
+            f"{plant.name} and {controller.name} are of different systems; take a plant and a "
+            "controller of one spec, or of specs that differ in the law alone"
+        )
+    return models_of(specs[0]["form"], specs[0]["structure"], specs[1]["structure"])
 
 
 def start_values_of(component: Component) -> dict[str, Scalar]:
@@ -288,6 +322,7 @@ def _check_loop(
         f"{source.name}.{name} -> {target.name}.{name}"
         for source, target, model in ends
         for entry in model.inputs
+        if entry.variables.first == 1  # a reference has a source of its own
         for name in entry.variables.names
     }
     given = {link.name for link in system.resolve().links}

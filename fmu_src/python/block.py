@@ -33,7 +33,9 @@ _WHEN = (
 
 
 class Block(VariableTable):
-    """A plant or controller: states x, inputs held or given as cubics, outputs on demand.
+    """A plant, a controller, or a block beside them.
+
+    It has states x, inputs held or given as cubics, and outputs on demand.
 
     The modules `interface` (the table of variables) and `equations` are generated beside this one
     when the FMU is built.
@@ -92,7 +94,8 @@ class Block(VariableTable):
             elif reference in _DERIVATIVES:
                 group = interface.DERIVATIVES
                 slopes = self._slopes_now()
-                numbers = bound.derivatives(self._x, self._values_now(), slopes, *self._theta_now())
+                theta = self._theta_and_slopes_now()
+                numbers = bound.derivatives(self._x, self._values_now(), slopes, *theta)
             else:
                 computed.update(zip(interface.GAINS, bound.gains))
                 computed.update(self._further_outputs())
@@ -134,6 +137,10 @@ class Block(VariableTable):
     def _theta_now(self):
         """theta(t) as the equations take it, where there is one."""
         return ()
+
+    def _theta_and_slopes_now(self):
+        """The same for the derivatives of outputs; slopes count where they are of signals."""
+        return self._theta_now()
 
     def _values_now(self):
         """Values of the inputs, s seconds after the communication point."""
@@ -241,6 +248,8 @@ class Block(VariableTable):
 
     def _advance(self, t, h):
         """The states a step later, and the internal step to try next."""
+        if not self._x:
+            return self._x, self._h
         return self._integrate(t, 0.0, h, self._x, self._h, None)
 
     def _integrate(self, t, start, end, x, h, theta):

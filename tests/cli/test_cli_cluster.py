@@ -13,9 +13,11 @@ import pytest
 from distributed import Client
 
 from congelation.results.store import Store
-from tests.cli.test_cli_sweep import DEADLY, LONG, POINTS, SWEEP, rows, sweep
+from tests.cli.test_cli_faults import PAIR
+from tests.cli.test_cli_sweep import LONG, POINTS, SWEEP, rows, sweep
+from tests.cosim.c_fmus import plain_fmu
 from tests.scenarios import SCALAR, write
-from tests.studies import environment, install, process, until
+from tests.studies import command, environment, until
 
 pytestmark = pytest.mark.slow
 
@@ -91,18 +93,17 @@ def test_a_killed_worker_of_a_cluster_costs_nothing(
     assert {row["status"] for row in found} == {"COMPLETED"}
 
 
-def test_runs_that_kill_workers_of_a_cluster_are_rows(tmp_path: Path, cluster: str) -> None:
-    install(tmp_path, "deadly", DEADLY)
-    axis = '[sweep]\n[[sweep.axes]]\nset = "plant.x0"\nvalues = [0, 2, 1]\n'
-    metric = '[metrics]\ndead = {metric = "deadly", of = "plant.x"}'
-    file = write(tmp_path, SCALAR + axis, ("[metrics]", metric))
-    out = tmp_path / "out"
-    done = process(
-        "sweep", file, "--out", out, "--scheduler", cluster, env=environment(tmp_path), timeout=300
-    )
+def test_fmus_that_kill_workers_of_a_cluster_are_rows(tmp_path: Path, cluster: str) -> None:
+    for declares in (False, True):
+        plain_fmu(tmp_path, declares=declares)
+    axis = '[sweep]\n[[sweep.axes]]\nset = "bad.fault"\nvalues = [0, 1, 0.5]\n'
+    file, out = write(tmp_path, PAIR.format(folder=tmp_path) + axis), tmp_path / "out"
+    done = command("sweep", file, "--out", out, "--scheduler", cluster)
     assert done.returncode == 1, done.stderr
-    status = {(row["set.plant.x0[1]"], row["status"]) for row in rows(tmp_path / "out")}
-    assert status == {(0.0, "COMPLETED"), (1.0, "COMPLETED"), (2.0, "WORKER_DIED")}
+    status = {row["set.bad.fault"]: row["status"] for row in rows(out)}
+    assert status == {0.0: "COMPLETED", 1.0: "WORKER_DIED", 0.5: "COMPLETED"}
+    (dead,) = (row for row in rows(out) if row["set.bad.fault"] == 1.0)
+    assert "fmi2DoStep of bad (plain_True.fmu)" in dead["message"]
 
 
 def test_no_scheduler_is_one_line(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ import pytest
 from congelation.results.results import Results
 from congelation.results.store import Store
 from tests.scenarios import SCALAR, write
-from tests.studies import children, command, environment, install, is_alive, process, start, until
+from tests.studies import children, command, is_alive, process, start, until
 from tests.studies import rows as stored
 
 pytestmark = pytest.mark.slow
@@ -133,38 +133,6 @@ def test_an_interrupted_sweep_says_how_to_go_on(
     assert rows(out) == reference
 
 
-DEADLY = """
-import os, signal
-from congelation.scenario.metrics import Metric
-
-def deadly(time, values):
-    if values[0, 0] > 1.5:
-        os.kill(os.getpid(), signal.SIGKILL)
-    return 0.0
-
-metric = Metric("deadly", deadly, "kills its process where x(0) > 1.5", str)
-"""
-
-
-def test_runs_that_kill_their_worker_are_rows_and_the_rest_goes_on(tmp_path: Path) -> None:
-    install(tmp_path, "deadly", DEADLY)
-    axis = '[sweep]\n[[sweep.axes]]\nset = "plant.x0"\nvalues = [0, 2, 1, -1, 0.5]\n'
-    metric = '[metrics]\ndead = {metric = "deadly", of = "plant.x"}'
-    file = write(tmp_path, SCALAR + axis, ("[metrics]", metric))
-    done = process(
-        "sweep", file, "--out", tmp_path / "out", "--workers", "2", env=environment(tmp_path)
-    )
-    assert done.returncode == 1, done.stderr
-    assert "10 of 10 runs, 2 failed" in done.stderr
-    status = {
-        (row["set.plant.x0[1]"], row["variant"]): row["status"] for row in rows(tmp_path / "out")
-    }
-    assert len(status) == 10
-    for (x0, _), found in status.items():
-        assert found == ("WORKER_DIED" if x0 == 2 else "COMPLETED")
-    assert "WORKER_DIED" in done.stdout
-
-
 def test_runs_that_cannot_begin_are_rows(tmp_path: Path) -> None:
     axis = '[sweep]\n[[sweep.axes]]\nset = "controller.epsilon"\nvalues = [-1, 0.5]\n'
     done = sweep(write(tmp_path, SCALAR + axis), tmp_path / "out")
@@ -189,57 +157,6 @@ def test_a_full_disk_is_one_line_and_no_finished_run_is_lost(tmp_path: Path) -> 
     assert sweep(file, out, "--resume").returncode == 0
     assert len(rows(out)) == 4
     assert len(list((out / "trajectories").iterdir())) == 4
-
-
-FATAL = """
-import ctypes, os, signal, time
-from congelation.scenario.metrics import Metric
-
-ENDS = {
-    2: lambda: ctypes.string_at(0),
-    3: os.abort,
-    4: lambda: os._exit(0),
-    5: lambda: time.sleep(1000),
-    6: lambda: ctypes.PyDLL(None).sleep(1000),  # with the interpreter's lock held
-    7: lambda: os.kill(os.getpid(), signal.SIGKILL),
-}
-
-def fatal(time_, values):
-    ENDS.get(int(values[0, 0]), lambda: None)()
-    return 0.0
-
-metric = Metric("fatal", fatal, "ends its process, each x(0) in its own way", str)
-"""
-
-CAUSES = {
-    1.0: ("COMPLETED", None),
-    2.0: ("WORKER_DIED", "SIGSEGV"),
-    3.0: ("WORKER_DIED", "SIGABRT"),
-    4.0: ("WORKER_DIED", "exit code 0"),
-    5.0: ("TIMED_OUT", "time limit"),
-    6.0: ("TIMED_OUT", "time limit"),
-    7.0: ("WORKER_DIED", "SIGKILL"),
-}
-
-
-@pytest.mark.parametrize("name", ["run", "sweep"])
-def test_whatever_ends_a_worker_is_a_row_with_its_cause(tmp_path: Path, name: str) -> None:
-    install(tmp_path, "fatal", FATAL)
-    variants = "".join(
-        f'[[variants]]\nname = "x0 = {x0:g}"\nset = {{"plant.x0" = {x0}}}\n' for x0 in CAUSES
-    )
-    axis = f'[sweep]\n[[sweep.axes]]\nset = "plant.x0"\nvalues = {list(CAUSES)}\n'
-    metric = ("[metrics]", '[metrics]\nf = {metric = "fatal", of = "plant.x"}')
-    text = SCALAR[: SCALAR.index("[[variants]]")] + (variants if name == "run" else axis)
-    file, out = write(tmp_path, text, metric), tmp_path / "out"
-    done = process(
-        name, file, "--out", out, "--timeout", "10", "--workers", "2", env=environment(tmp_path)
-    )
-    assert done.returncode == 1, done.stderr
-    assert "Traceback" not in done.stderr
-    found = {row["set.plant.x0[1]"]: (row["status"], row["cause"]) for row in rows(out)}
-    assert found == CAUSES
-    assert len(rows(out)) == len(CAUSES)
 
 
 def test_two_sweeps_share_a_directory(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ def plain_fmu(folder: Path, *, declares: bool = False) -> Path:
     `declares`: whether it says that y follows from no input at once (d1 = d2 = 0).
     """
     causalities = {"u1": "input", "u2": "input", "y": "output"}
-    names = ("u1", "u2", "y", "a", "b1", "b2", "d1", "d2", "x0", "grain", "ends")
+    names = ("u1", "u2", "y", "a", "b1", "b2", "d1", "d2", "x0", "grain", "ends", "fault")
     variables = "".join(
         f'<ScalarVariable name="{name}" valueReference="{k}" '
         + (

@@ -15,6 +15,12 @@ NAMES = (
     "StateFeedbackController",
     "ObserverFormPlant",
     "OutputFeedbackController",
+    "Reference",
+    "Disturbance",
+    "Noise",
+    "Saturation",
+    "Lag",
+    "Delay",
 )
 
 

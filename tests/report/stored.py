@@ -71,7 +71,6 @@ def results(
     """A result directory with these runs."""
     store = Store(folder)
     store.create()
-    store.plan([])
     store.begin("s", {**ABOUT, **about})
     for entry, recorded in entries:
         store.write_trajectory(entry.run_id, trajectory_bytes(recorded))

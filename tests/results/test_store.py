@@ -8,6 +8,7 @@ import signal
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +41,6 @@ def record(run_id: str, **values: object) -> RunRecord:
 def store(tmp_path: Path) -> Store:
     store = Store(tmp_path / "deep" / "results")
     store.create()
-    store.plan(["a", "b", "c"])
     store.begin("s", ABOUT)
     return store
 
@@ -117,15 +117,38 @@ def test_a_vector_is_its_elements_and_nothing_that_begins_alike() -> None:
 def test_a_plan_is_compared_with_what_is_finished(tmp_path: Path) -> None:
     store = Store(tmp_path)
     store.create()
-    store.plan([])
     store.begin("s", ABOUT)
-    store.add([record("b"), record("x"), record("d", status="TIMED_OUT", code_version="1")])
+    store.add([record("b"), record("e"), record("d", status="TIMED_OUT", code_version="1")])
     store.close()
-    found = Store(tmp_path).plan(["a", "b", "a", "c", "d"])
+    runs = list(enumerate(["a", "b", "a", "c", "d"]))
+    found = Store(tmp_path).plan("p", runs)
     assert (found.total, found.others, list(found.missing)) == (4, 1, [0, 3])
     assert set(found.versions) == {"", "1"}
-    assert list(Store(tmp_path).plan(["a", "b", "c", "d"], ["TIMED_OUT"]).missing) == [0, 2, 3]
-    assert list(Store(tmp_path).plan(["b"], None).missing) == [0]
+    assert list(Store(tmp_path).plan("p", runs, ["TIMED_OUT"]).missing) == [0, 3, 4]
+    assert list(Store(tmp_path).plan("p", runs, None).missing) == [0, 1, 3, 4]
+    assert list(Store(tmp_path).plan("none", []).missing) == []
+
+
+def test_a_plan_that_was_stored_is_not_computed_again(tmp_path: Path) -> None:
+    store = Store(tmp_path)
+    store.create()
+    store.add([record("b", study="old", number=7), record("e", study="old", number=8)])
+    store.plan("p", [(3, "a"), (5, "b")])
+    store.begin("s", ABOUT)
+    store.close()
+    assert [(r.run_id, r.study, r.number) for r in Results(tmp_path).runs] == [
+        ("e", "old", 8),
+        ("b", "s", 5),
+    ]
+
+    def refused() -> Iterator[tuple[int, str]]:
+        raise AssertionError("the plan is computed")
+        yield
+
+    found = Store(tmp_path).plan("p", refused())
+    assert (found.total, list(found.missing)) == (2, [3])
+    with pytest.raises(AssertionError, match="the plan is computed"):
+        Store(tmp_path).plan("q", refused())
 
 
 def test_a_table_of_runs(store: Store) -> None:
@@ -184,7 +207,6 @@ from congelation.results.store import Store
 from tests.results.test_store import ABOUT, record
 store = Store(Path(sys.argv[1]))
 store.create()
-store.plan([])
 store.begin("s", ABOUT)
 store.add([record("a", message="x" * 1000)])
 resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, resource.RLIM_INFINITY))
@@ -213,7 +235,6 @@ from congelation.results.store import Store
 from tests.results.test_store import ABOUT, record
 store = Store(Path(sys.argv[1]))
 store.create()
-store.plan([])
 store.begin("s", ABOUT)
 for batch in itertools.count():
     store.add([record(f"{batch}-{k}", number=100 * batch + k) for k in range(100)])

@@ -52,6 +52,7 @@ def test_rows_and_trajectories(tmp_path: Path) -> None:
         "worst_margin",
         "trust.error",
         "trust.verdict",
+        "trust.line",
         "fmu.plant",
         "fmu.controller",
         "seed",
@@ -124,15 +125,17 @@ def test_run_ids_are_of_the_content(tmp_path: Path) -> None:
         assert set(planned(tmp_path, change)) != set(same), change
 
 
-def test_a_changed_profile_table_is_another_run(tmp_path: Path) -> None:
+def test_a_changed_profile_table_is_another_run_and_another_plan(tmp_path: Path) -> None:
     terms = "[{constant = -3.0}, {square = {amplitude = 0.4, period = 0.3}}]"
     ids: list[str] = []
     for value in ("-3", "-2"):
         (tmp_path / "theta.csv").write_text(f"0,{value}\n")
         file = write(tmp_path, SCALAR, (terms, '[{table = {file = "theta.csv"}}]'))
-        plan = plan_study(load_scenario(file), tmp_path / "none", swept=False, write=False)
+        plan = plan_study(load_scenario(file), tmp_path / "out", swept=False)
         ids += [next(plan.tasks()).run_id]
+        plan.store.close()
     assert ids[0] != ids[1]
+    assert plan.store.query("SELECT count(DISTINCT keys) FROM plans") == [(2,)]
 
 
 def test_running_again_repeats_the_rows(tmp_path: Path) -> None:

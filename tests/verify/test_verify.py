@@ -164,7 +164,7 @@ experiment = {{stop_time = 1, step = 0.1}}
 
 def test_a_plant_and_the_controller_of_another_are_no_loop(tmp_path: Path) -> None:
     scenario = load_scenario(write(tmp_path, OTHERS))
-    with pytest.raises(InvalidInput, match="plant and controller are of different specs"):
+    with pytest.raises(InvalidInput, match="plant and controller are of different systems"):
         reference(scenario.case({}))
 
 

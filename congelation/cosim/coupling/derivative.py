@@ -94,6 +94,7 @@ class _DerivativeStepper(AdaptiveStepper[Points]):
         self._reaches_end = [
             not self._exchanges and ensemble.passes_on_held(m) for m in range(len(ensemble.slaves))
         ]
+        self.order = ORDER
         self.halves = self._has_held or bool(self._reader.inexact.size)
         self._watch = Watch(ensemble.nominal, extrapolated=True)
         self.iterations = 0

@@ -42,6 +42,9 @@ SHARE_OF_HALVED = 1e-4
 """The same where the error of a step is the difference of two solutions: what unfinished iterations
 leave in either must not show in it."""
 
+HELD = 2
+"""Order where an input cannot follow the cubic, or a source says no derivative."""
+
 FIRST_CHANGE = 3e-2
 """Share of its size by which an input may change over the first step that is tried."""
 
@@ -229,6 +232,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         self._reader = LinkReader(ensemble)
         self._highest = self._highest_order()
         self.halves = bool((ensemble.order < MAX_DERIVATIVE).any() or self._reader.inexact.size)
+        self.order = HELD if self.halves else LOW
         self._accuracy = coupling.tolerance
         if tolerance is not None:
             self._accuracy = tolerance * (SHARE_OF_HALVED if self.halves else SHARE_OF_TOLERANCE)
