@@ -6,10 +6,13 @@ line on stderr, never a traceback.
 
 from __future__ import annotations
 
+import errno
+import io
+import os
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
-from typing import Annotated
+from typing import Annotated, NoReturn, TextIO
 
 import typer
 
@@ -73,14 +76,36 @@ def main(arguments: Sequence[str] | None = None) -> None:
     # Typer has no option whose value may be left out.
     words = ["--trust=bars" if word == "--trust" else word for word in words]
     called = next((word for word in words if not word.startswith("-")), "")
+    for stream in (sys.stdout, sys.stderr):
+        # A title may have characters that the terminal's encoding lacks; they are escaped.
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")
     try:
-        _app([called] if called in _COMMANDS else _COMMANDS)(words)
+        try:
+            _app([called] if called in _COMMANDS else _COMMANDS)(words)
+        finally:
+            sys.stdout.flush()
+    except OSError as error:
+        if error.errno == errno.EPIPE:
+            _end_unread(sys.stdout)
+        where = "the output cannot be written" if error.filename is None else error.filename
+        _end_unread(sys.stdout, f"{where}: {error.strerror}")
     except InvalidInput as error:
         complain(str(error))
         sys.exit(BAD_INPUT)
     except CongelationError as error:
         complain(str(error))
         sys.exit(FAILED)
+
+
+def _end_unread(stream: TextIO, complaint: str | None = None) -> NoReturn:
+    """End where what is printed can go nowhere: the reader has enough (``| head``), a full disk."""
+    # What is left in the buffer would be tried again, and complained of, at the end of Python.
+    if isinstance(stream, io.TextIOWrapper):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    if complaint is not None:
+        complain(complaint)
+    sys.exit(FAILED)
 
 
 def _print_version(wanted: bool) -> None:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -22,6 +23,7 @@ from congelation.cli.shared import (
     print_summary,
 )
 from congelation.errors import CongelationError, InvalidInput
+from congelation.places import check_file
 from congelation.results.identity import code_version
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
@@ -70,6 +72,11 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON in place of table
 
 Strict = Annotated[bool, typer.Option("--strict", help="Take warnings for errors.")]
 
+MOST_CAUSES = 3
+"""Of failures in a study, named at its end."""
+
+_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
+
 MEASURED = 50
 """A sweep of so many runs begins with an estimate of what it takes, which itself takes seconds."""
 
@@ -86,9 +93,42 @@ def run(
     progress: ProgressForm = Form.BAR,
     as_json: Json = False,
     strict: Strict = False,
+    stop_time: Annotated[
+        float | None,
+        typer.Option(help="End of the run in s.", show_default="the scenario's", metavar="TIME"),
+    ] = None,
+    step: Annotated[
+        float | None,
+        typer.Option(
+            help="Communication step in s, in place of a tolerance unless that is given, too.",
+            show_default="the scenario's",
+            metavar="TIME",
+        ),
+    ] = None,
+    tolerance: Annotated[
+        float | None,
+        typer.Option(
+            help="Chooses the steps, in place of a fixed one.", show_default="the scenario's"
+        ),
+    ] = None,
+    coupling: Annotated[
+        str | None,
+        typer.Option(
+            help="How inputs move between steps.", show_default="the scenario's", metavar="NAME"
+        ),
+    ] = None,
+    fmu_log: Annotated[
+        Path | None,
+        typer.Option(help="Keep what the FMUs log.", metavar="FILE", show_default=False),
+    ] = None,
 ) -> None:
     """Run all variants of a scenario: summary, trajectories and figures."""
-    found = _load(scenario, strict=strict)
+    given = {"stop_time": stop_time, "step": step, "tolerance": tolerance, "coupling": coupling}
+    given = {key: value for key, value in given.items() if value is not None}
+    found = _load(scenario, strict=strict, experiment=given)
+    if fmu_log is not None:
+        check_file("--fmu-log", fmu_log)
+        fmu_log.write_text("", encoding="utf-8")
     folder = result_folder(found, out)
     with _interrupts():
         plan = plan_study(
@@ -98,6 +138,7 @@ def run(
             verify=verify,
             trust=trust is Bars.BARS or (False if trust is None else trust.value),
             timeout=_positive(timeout),
+            fmu_log=fmu_log,
         )
     results = _carried_out(plan, Local(workers), progress)
     records = results.study().records
@@ -221,15 +262,17 @@ def _interrupts() -> Iterator[None]:
         raise typer.Exit(INTERRUPTED) from error
 
 
-def _load(file: Path, *, strict: bool) -> Scenario:
+def _load(file: Path, *, strict: bool, experiment: Mapping[str, object] | None = None) -> Scenario:
     """The scenario, after warnings of what may be a mistake in it.
+
+    `experiment` has the keys of its experiment that options of the command give.
 
     Raises
     ------
     InvalidInput
         The first warning, if they are to be errors.
     """
-    scenario = load_scenario(file)
+    scenario = load_scenario(file, experiment or {})
     warnings = (*scenario.warnings, *scenario_warnings(scenario))
     if strict and warnings:
         raise InvalidInput(f"{warnings[0]} (--strict)")
@@ -289,6 +332,14 @@ def _complain_of_failures(records: Iterable[RunRecord]) -> int:
     if failed:
         counts = ", ".join(f"{count} {status}" for status, count in kinds.most_common())
         complain(f"{failed} of {total} runs failed ({counts})")
+        # Messages differ in their numbers: those that agree up to them have one cause.
+        causes: dict[str, list[RunRecord]] = {}
+        for record in kept:
+            if record.failed:
+                causes.setdefault(_NUMBER.sub("#", record.message), []).append(record)
+        for same in sorted(causes.values(), key=len, reverse=True)[:MOST_CAUSES]:
+            first = same[0]
+            complain(f"{len(same)} x, such as run {first.run_id}: {first.message}")
     return failed
 
 

@@ -17,6 +17,7 @@ from congelation.conformance.rules import RULES
 from congelation.conformance.runner import check as run_check
 from congelation.conformance.runner import select
 from congelation.errors import InvalidInput, nearest
+from congelation.places import check_file, replace_whole
 
 __all__ = ["check"]
 
@@ -77,9 +78,9 @@ def check(
     level = Level(fail_on.value)
     try:
         chosen = select(rule or ()) or RULES
-        for target in (junit, json):
-            if target is not None and not target.absolute().parent.is_dir():
-                raise InvalidInput(f"there is no folder for '{target}'")
+        for option, target in (("--junit", junit), ("--json", json)):
+            if target is not None:
+                check_file(option, target)
         console = Console(stderr=True)
         with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
             task = progress.add_task("checking", total=len(fmus) * len(chosen))
@@ -117,9 +118,11 @@ def check(
     for entry in report.unused:
         typer.echo(f"{known}: nothing was found for {entry}; remove the entry", err=True)
     if json is not None:
-        json.write_text(to_json(report) + "\n", encoding="utf-8")
+        text = to_json(report) + "\n"
+        replace_whole(json, lambda file: file.write_text(text, encoding="utf-8"))
     if junit is not None:
-        junit.write_text(to_junit(report, level) + "\n", encoding="utf-8")
+        lines = to_junit(report, level) + "\n"
+        replace_whole(junit, lambda file: file.write_text(lines, encoding="utf-8"))
     if report.failures(level):
         raise typer.Exit(1)
     if not all(fmu.in_scope for fmu in report.fmus):

@@ -25,7 +25,17 @@ from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.system import Recorded
 from congelation.errors import InvalidInput
 
-__all__ = ["BLOCK_ROWS", "Columns", "Memory", "Output", "ParquetFile", "Recorder", "Rows", "Sink"]
+__all__ = [
+    "BLOCK_ROWS",
+    "Columns",
+    "EveryStep",
+    "Memory",
+    "Output",
+    "ParquetFile",
+    "Recorder",
+    "Rows",
+    "Sink",
+]
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -217,6 +227,19 @@ class Recorder:
         row[0] = time
         return row[1:]
 
+    @property
+    def room(self) -> Floats:
+        """The rows of the block that are still free, shape (n, 1 + M), n >= 1, for compiled code
+        to fill; see `filled`."""
+        if self._rows == BLOCK_ROWS:
+            self._hand_over()
+            self._block = np.empty_like(self._block)
+        return self._block[self._rows :]
+
+    def filled(self, count: int) -> None:
+        """The first rows of `room` have been filled."""
+        self._rows += count
+
     def __enter__(self) -> Recorder:
         return self
 
@@ -314,6 +337,17 @@ class Columns:
         """The sampled columns as they are now, shape (S,)."""
         return self.ensemble.Y[self._places[self.sampled]]
 
+    @property
+    def follows(self) -> bool:
+        """Whether all recorded values follow from Y alone."""
+        return not (self._latched or self._slow)
+
+    @property
+    def places(self) -> Indices | None:
+        """Where the recorded values stand in Y, shape (M,), if all of them stand there as they
+        are recorded."""
+        return self._places if self.follows and not self._converted else None
+
     def fill(self, row: Floats) -> None:
         """Write the recorded values, shape (M,), into `row`."""
         ensemble = self.ensemble
@@ -330,7 +364,18 @@ class Columns:
 
 
 class Rows(ABC):
-    """Takes communication points as they are reached, and records rows."""
+    """Takes communication points as they are reached, and records rows.
+
+    Attributes
+    ----------
+    columns : Columns
+        What is recorded.
+    judges : bool
+        Whether `unresolved` has to be asked.
+    """
+
+    columns: Columns
+    judges = False
 
     @abstractmethod
     def start(self, time: float) -> None:
@@ -369,20 +414,25 @@ class EveryStep(Rows):
     recorder : Recorder
     every : int
         n.
+
+    Attributes
+    ----------
+    left : int
+        Communication points that are still to be left out.
     """
 
     def __init__(self, columns: Columns, recorder: Recorder, every: int) -> None:
-        self._columns = columns
-        self._recorder = recorder
-        self._every = every
-        self._left = 0
+        self.columns = columns
+        self.recorder = recorder
+        self.every = every
+        self.left = 0
 
     def start(self, time: float) -> None:
         self._record(time)
 
     def point(self, time: float) -> None:
-        if self._left:
-            self._left -= 1
+        if self.left:
+            self.left -= 1
         else:
             self._record(time)
 
@@ -393,12 +443,12 @@ class EveryStep(Rows):
         self._record(time)
 
     def finish(self, time: float, *, completed: bool) -> None:
-        if completed and self._left < self._every - 1:
+        if completed and self.left < self.every - 1:
             self._record(time)
 
     def _record(self, time: float) -> None:
-        self._left = self._every - 1
-        self._columns.fill(self._recorder.row(time))
+        self.left = self.every - 1
+        self.columns.fill(self.recorder.row(time))
 
 
 class OutputGrid(Rows):
@@ -419,7 +469,8 @@ class OutputGrid(Rows):
     """
 
     def __init__(self, columns: Columns, recorder: Recorder, interval: float) -> None:
-        self._columns = columns
+        self.columns = columns
+        self.judges = bool(columns.sampled.size)
         self._recorder = recorder
         self._interval = interval
         self._first = 0.0
@@ -430,7 +481,7 @@ class OutputGrid(Rows):
         self._samples: list[Floats] = []
 
     def unresolved(self, time: float) -> float:
-        if time - self._times[-1] <= self._interval or not self._columns.sampled.size:
+        if time - self._times[-1] <= self._interval or not self.judges:
             return 0.0
         # As many of the latest points as do not amplify rounding; the very latest always may.
         for first in range(len(self._times)):
@@ -438,7 +489,7 @@ class OutputGrid(Rows):
             if np.abs(weights).sum() <= MOST_AMPLIFIED:
                 break
         predicted = weights @ np.array(self._samples[first:])
-        return self._columns.surprise(predicted) / SAMPLED_TOLERANCE
+        return self.columns.surprise(predicted) / SAMPLED_TOLERANCE
 
     def start(self, time: float) -> None:
         self._first = time
@@ -467,14 +518,14 @@ class OutputGrid(Rows):
         self._add(time)
 
     def _add(self, time: float) -> None:
-        row = np.empty(self._columns.width)
-        self._columns.fill(row)
+        row = np.empty(self.columns.width)
+        self.columns.fill(row)
         keep = NODES - 1
         self._times = [*self._times[-keep:], time]
         self._values = [*self._values[-keep:], row]
-        slopes = self._columns.ensemble.Y[self._columns.slopes]
+        slopes = self.columns.ensemble.Y[self.columns.slopes]
         self._derivatives = [*self._derivatives[-keep:], slopes]
-        self._samples = [*self._samples[-keep:], self._columns.sample()]
+        self._samples = [*self._samples[-keep:], self.columns.sample()]
 
     def _close(self) -> None:
         """What is left: nothing smooth follows on the right."""
@@ -498,7 +549,7 @@ class OutputGrid(Rows):
         weights, _ = differentiation(np.array(self._times), time)
         row: Floats = weights @ np.array(self._values)
         nodes = slice(max(k - 1, 0), max(k - 1, 0) + SMOOTH_NODES)
-        smooth = self._columns.smooth
+        smooth = self.columns.smooth
         values = [row[smooth] for row in self._values[nodes]]
         weights, _ = interpolation(self._times[nodes], time)
         row[smooth] = weights @ np.array([*values, *self._derivatives[nodes]])

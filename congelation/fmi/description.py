@@ -36,6 +36,8 @@ class Variable:
         is set and read as an Integer).
     reference : int
         Value reference.
+    items : tuple of (str, int)
+        Of an enumeration, which is an Integer: its items, each with its value.
     nominal : float
         Size at which a Real counts as of order one; 1 where the FMU does not say.
     unit : str
@@ -53,6 +55,7 @@ class Variable:
     variability: str
     initial: str | None
     nominal: float = 1.0
+    items: tuple[tuple[str, int], ...] = ()
     unit: str = ""
     relative: bool = False
     description: str = ""
@@ -230,6 +233,10 @@ def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
             else variable.relativeQuantity
         ),
         description=variable.description or "",
+        items=tuple(
+            (item.name, int(item.value))
+            for item in getattr(variable.declaredType, "items", None) or ()
+        ),
     )
 
 

@@ -22,7 +22,18 @@ from congelation.errors import InvalidInput
 from congelation.fmi.archive import unpack_archive
 from congelation.fmi.description import Description
 
-__all__ = ["DISCARD", "ERROR", "FATAL", "WARNING", "Log", "Message", "load", "unpack"]
+__all__ = [
+    "DISCARD",
+    "ERROR",
+    "FATAL",
+    "KEPT",
+    "STATUS_NAMES",
+    "WARNING",
+    "Log",
+    "Message",
+    "load",
+    "unpack",
+]
 
 WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
 """Of fmi2Status."""
@@ -46,17 +57,44 @@ class Message:
 
 
 @dataclass
+class Kept:
+    """Where this process keeps the messages of its instances, if anywhere.
+
+    Parameters
+    ----------
+    file : Path or None
+        Absolute, as an FMU may change the working directory.
+    run : str
+        What the lines begin with.
+    """
+
+    file: Path | None = None
+    run: str = ""
+
+
+KEPT = Kept()
+
+STATUS_NAMES = ("fmi2OK", "fmi2Warning", "fmi2Discard", "fmi2Error", "fmi2Fatal", "fmi2Pending")
+
+
+@dataclass
 class Log:
     """The messages of one instance.
 
     Attributes
     ----------
+    name : str
+        Of the component.
+    time : float
+        Communication point of the latest step, in seconds.
     error : Message or None
         The last one of status fmi2Error or worse.
     warnings, refusals : int
         How many there were of status fmi2Warning, and of fmi2Discard or worse.
     """
 
+    name: str = ""
+    time: float = 0.0
     messages: deque[Message] = field(default_factory=lambda: deque(maxlen=KEPT_MESSAGES))
     error: Message | None = None
     warnings: int = 0
@@ -69,6 +107,11 @@ class Log:
         self.refusals += DISCARD <= message.status <= FATAL
         if message.status >= ERROR:
             self.error = message
+        if KEPT.file is not None:
+            line = f"{KEPT.run} {self.name} {self.time:.9g} {STATUS_NAMES[message.status]} "
+            # Opened for each message: workers share the file, and lines are written whole.
+            with KEPT.file.open("a", encoding="utf-8") as file:
+                file.write(f"{line}{message.category}: {message.line}\n")
 
     def clear(self) -> None:
         """Forget everything."""

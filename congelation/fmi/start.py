@@ -131,6 +131,12 @@ def _typed(variable: Variable, value: object, place: str) -> float | int | bool 
         )
     if isinstance(value, np.generic):
         value = value.item()
+    if variable.items and not isinstance(value, bool):
+        for name, item in variable.items:
+            if value in (name, item) and not isinstance(value, float):
+                return item
+        known = ", ".join(f"'{name}' ({item})" for name, item in variable.items)
+        raise InvalidInput(f"{place}: {value!r} is no item of the enumeration; valid: {known}")
     if variable.type == "String" and isinstance(value, str):
         return value
     if variable.type == "Boolean" and (isinstance(value, bool) or value in (0, 1)):

@@ -122,7 +122,10 @@ def metric_definitions(study: Study) -> tuple[tuple[str, str], ...]:
 
 
 def number(value: object) -> str:
-    """A value for people: four digits; a dash where there is none."""
+    """A value for people: four digits; a dash where there is none.
+
+    What is infinite is a time that does not come: a settling time, a jump.
+    """
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -131,6 +134,8 @@ def number(value: object) -> str:
         return str(value)
     if isinstance(value, float) and math.isnan(value):
         return "–"
+    if value == math.inf:
+        return "never"
     return f"{value:.4g}"
 
 
@@ -140,10 +145,7 @@ def _lines(study: Study) -> Iterator[tuple[str, list[str]]]:
     for name in study.about["varied"]:
         yield name, [number(run.settings.get(name)) for run in runs]
     for name, about in study.about["metrics"].items():
-        never = about["metric"] == "settling_time"
-        values = [run.metrics.get(name) for run in runs]
-        cells = ["never" if never and value == math.inf else number(value) for value in values]
-        yield _label(name, about), cells
+        yield _label(name, about), [number(run.metrics.get(name)) for run in runs]
     yield "macro steps", [number(run.steps) for run in runs]
     yield "wall time [s]", [number(run.wall_time) for run in runs]
     for name in dict.fromkeys(name for run in runs for name in run.deviations):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 from congelation.errors import InvalidInput
+from congelation.scenario.parts import EXPERIMENT, replaced
 from congelation.scenario.scenario import Scenario
 from congelation.scenario.ssp.read import read_ssp
 from congelation.toml import read_document
@@ -12,8 +15,16 @@ from congelation.toml import read_document
 __all__ = ["load_scenario"]
 
 
-def load_scenario(file: Path | str) -> Scenario:
+def load_scenario(file: Path | str, experiment: Mapping[str, object] | None = None) -> Scenario:
     """Read a scenario: a TOML file, or an SSP archive (.ssp).
+
+    Parameters
+    ----------
+    file : path
+    experiment : mapping, optional
+        Keys of its experiment that replace those of the file: stop_time, step, .. A step replaces
+        a tolerance and the other way round, unless both are given; a coupling replaces the options
+        as well.
 
     Raises
     ------
@@ -25,13 +36,29 @@ def load_scenario(file: Path | str) -> Scenario:
     >>> cg.load_scenario("scenarios/fig2.toml").title
     'Fig. 2: state feedback'
     """
-    path = Path(file)
+    path, given = Path(file), dict(experiment or {})
     if path.suffix == ".ssp":
-        return read_ssp(path)
+        return _unless_variants_differ(read_ssp(path, given), given)
     text, document = read_document(path)
     if "form" in document.data and "components" not in document.data:
         raise InvalidInput(
             f"{path}: this is a spec, from which FMUs are built (congelation build {path}); "
             "give a scenario"
         )
-    return Scenario.from_document(document, path, text)
+    table = document.data.get(EXPERIMENT, {})
+    if given and isinstance(table, Mapping):
+        data = {**document.data, EXPERIMENT: replaced(table, given)}
+        document = replace(document, data=data)
+    return _unless_variants_differ(Scenario.from_document(document, path, text), given)
+
+
+def _unless_variants_differ(scenario: Scenario, given: Mapping[str, object]) -> Scenario:
+    """The scenario, unless a variant changes a key that was given, too."""
+    for key in given:
+        for variant in scenario.variants:
+            if f"{EXPERIMENT}.{key}" in variant.settings:
+                raise InvalidInput(
+                    f"{scenario.place}: {EXPERIMENT}.{key} is what the variant '{variant.name}' "
+                    "sets; change it in the file"
+                )
+    return scenario

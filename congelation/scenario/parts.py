@@ -20,6 +20,7 @@ __all__ = [
     "Settings",
     "Variant",
     "agreed",
+    "replaced",
 ]
 
 Scalar = float | int | bool | str
@@ -29,6 +30,16 @@ Settings = Mapping[str, Scalar]
 
 EXPERIMENT = "experiment"
 """Name of the table, and what settings of its keys begin with."""
+
+
+def replaced(table: Mapping[str, Any], given: Mapping[str, object]) -> dict[str, Any]:
+    """A table of an experiment with keys replaced, and without what goes with the old values."""
+    gone = set()
+    if ("step" in given) != ("tolerance" in given):
+        gone.add("tolerance" if "step" in given else "step")
+    if "coupling" in given and given["coupling"] != table.get("coupling"):
+        gone.add("options")
+    return {key: value for key, value in table.items() if key not in gone} | dict(given)
 
 
 def agreed(values: Mapping[str, Any], place: Callable[[str], str]) -> Experiment:

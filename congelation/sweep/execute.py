@@ -14,6 +14,7 @@ from congelation.cosim.trust import trusted, variable_of
 from congelation.errors import CongelationError, InvalidInput
 from congelation.fmi.calls import CALLS
 from congelation.fmi.description import describe
+from congelation.fmi.library import KEPT
 from congelation.results.identity import NUMERICS_VERSION
 from congelation.results.record import Trajectory
 from congelation.results.store import Store, trajectory_bytes
@@ -87,6 +88,8 @@ class Job:
         Version of the numerics that the study was planned with.
     trust : bool or str
         Whether runs get error bars, as in `congelation.cosim.simulate`.
+    fmu_log : Path, optional
+        Takes what the FMUs log, a line for each message.
     """
 
     study: str
@@ -99,6 +102,7 @@ class Job:
     fmus: Mapping[str, str]
     numerics: int
     trust: bool | str = False
+    fmu_log: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -148,6 +152,7 @@ def execute(
     StoreError
         If the trajectory cannot be written: others could not be either.
     """
+    KEPT.file, KEPT.run = job.fmu_log, task.run_id
     try:
         outcome, trajectory = _simulated(job, task, pool, progress)
     except CongelationError as error:

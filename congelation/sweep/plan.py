@@ -120,6 +120,7 @@ def plan_study(
     verify: bool = False,
     trust: bool | str = False,
     timeout: float | None = None,
+    fmu_log: Path | None = None,
     write: bool = True,
 ) -> Plan:
     """Compare a study with what is finished of it.
@@ -142,6 +143,8 @@ def plan_study(
         Whether they get error bars, as in `congelation.cosim.simulate`.
     timeout : float, optional
         Seconds that a run may take, in place of those of the sweep.
+    fmu_log : Path, optional
+        Takes what the FMUs log.
     write : bool
         False: the directory is not made, and nothing is written into it.
 
@@ -198,6 +201,7 @@ def plan_study(
         fmus={c.name: describe(c.fmu).sha256 for c in scenario.system.components},
         numerics=NUMERICS_VERSION,
         trust=trust,
+        fmu_log=None if fmu_log is None else fmu_log.absolute(),
     )
     if write:
         store.begin(study, {**described, "planned": found.total})

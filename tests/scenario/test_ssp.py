@@ -505,3 +505,21 @@ def test_the_commands(tmp_path: Path) -> None:
     assert (tmp_path / "results" / "c2" / "figures" / "loop.png").is_file()
     line = one_line(congelation("run", "absent.ssp", cwd=tmp_path), 2)
     assert line.startswith("congelation: absent.ssp: no such file")
+
+
+@pytest.mark.parametrize("name", ["the plant", "plant.of.mine", "plant\t1"])
+def test_an_element_may_have_blanks_and_dots_in_its_name(archive: Path, name: str) -> None:
+    shown = name.replace("\t", "&#9;")
+    file = changed(
+        archive,
+        SSD,
+        ('name="plant"', f'name="{shown}"'),
+        ('startElement="plant"', f'startElement="{shown}"'),
+        ('endElement="plant"', f'endElement="{shown}"'),
+        ("plant.", re.sub(r"\W", "_", name) + "."),  # in what is recorded and measured
+    )
+    scenario, plain = read_ssp(file), re.sub(r"\W", "_", name)
+    assert [c.name for c in scenario.system.components] == [plain, "controller"]
+    assert f"{plain}.x -> controller.x" in map(str, scenario.system.connections)
+    assert scenario.system.components[0].start["x0"] == 1.0
+    assert scenario.warnings == (f"{file}: the element '{name}' is called '{plain}' here",)

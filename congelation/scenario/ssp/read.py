@@ -6,9 +6,11 @@ transformations, mappings) is refused, not passed over.
 
 from __future__ import annotations
 
+import itertools
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +18,7 @@ from lxml import etree
 
 from congelation.errors import nearest
 from congelation.fmi.description import describe
+from congelation.scenario.parts import replaced
 from congelation.scenario.scenario import EXPERIMENT, Scenario
 from congelation.scenario.ssp.archive import (
     ANNOTATION,
@@ -40,8 +43,8 @@ _TOLERANCE = 1e-6
 _STEPS = 1000
 
 
-def read_ssp(file: Path) -> Scenario:
-    """Read a scenario from an SSP archive.
+def read_ssp(file: Path, experiment: Mapping[str, object] | None = None) -> Scenario:
+    """Read a scenario from an SSP archive; `experiment` replaces keys of its experiment.
 
     Raises
     ------
@@ -55,18 +58,41 @@ def read_ssp(file: Path) -> Scenario:
     system = root.find("ssd:System", NAMESPACES)
     components, ignored = _components(system, archive)
     surroundings = _surroundings(system, archive, components, ignored)
+    names = _plain_names(components)
+    components = {names[name]: component for name, component in components.items()}
     document = {
         "title": root.get("description") or root.get("name"),
         **_annotated(root, archive),
         "components": components,
-        "connections": list(_connections(system, archive)),
-        "open": surroundings,
+        "connections": list(_connections(system, archive, names)),
+        "open": [f"{names[name]}.{variable}" for name, variable in surroundings],
     }
-    document[EXPERIMENT] = _experiment(root, document.get(EXPERIMENT), components, archive)
+    stated = document.get(EXPERIMENT)
+    document[EXPERIMENT] = _experiment(root, stated, components, archive, experiment or {})
     text = content.decode(errors="replace")
     scenario = Scenario.from_document(Section(str(file), "", document), file, text)
-    warnings = (f"{file}: there is no variable for the parameter '{name}'" for name in ignored)
+    warnings = [f"{file}: there is no variable for the parameter '{name}'" for name in ignored]
+    warnings += [
+        f"{file}: the element '{name}' is called '{plain}' here"
+        for name, plain in names.items()
+        if name != plain
+    ]
     return scenario.changed(warnings=(*scenario.warnings, *warnings))
+
+
+def _plain_names(elements: Iterable[str]) -> dict[str, str]:
+    """Names of components by those of elements, which may have blanks and dots."""
+    taken = set(elements)
+    names: dict[str, str] = {}
+    for element in elements:
+        plain = name = re.sub(r"[.\s]+", "_", element)
+        for number in itertools.count(2):
+            if name == element or name not in taken:
+                break
+            name = f"{plain}_{number}"
+        taken.add(name)
+        names[element] = name
+    return names
 
 
 def _components(
@@ -80,6 +106,7 @@ def _components(
     ignored: dict[str, object] = {}
     # A system's parameters take precedence over its components'.
     overriding = _bound_values(system, archive, "the system")
+    elements = [e.get("name", "") for e in system.findall("ssd:Elements/*", NAMESPACES)]
     for element in system.findall("ssd:Elements/*", NAMESPACES):
         name = element.get("name", "")
         what = f"component '{name}'"
@@ -90,7 +117,9 @@ def _components(
             raise archive.error(f"{what} is given twice; names must differ")
         fmu = archive.find(element.get("source", ""), what)
         values = _bound_values(element, archive, what)
-        for key in [key for key in overriding if key.startswith(f"{name}.")]:
+        # Of elements "a" and "a.b", "a.b.c" is of the longer name.
+        longer = tuple(f"{other}." for other in elements if other.startswith(f"{name}."))
+        for key in [k for k in overriding if k.startswith(f"{name}.") and not k.startswith(longer)]:
             values[key.removeprefix(f"{name}.")] = overriding.pop(key)
         known = describe(fmu).variables
         # SSP 1.0: parameters for which there is no variable are ignored.
@@ -105,8 +134,8 @@ def _surroundings(
     archive: Archive,
     components: Mapping[str, Mapping[str, Any]],
     parameters: dict[str, object],
-) -> list[str]:
-    """The inputs that connectors of the system would drive.
+) -> list[tuple[str, str]]:
+    """The inputs, (element, variable), that connectors of the system would drive.
 
     A parameter of the name of such a connector is the value of what is connected to it, and is
     taken out of `parameters`; it takes precedence over those of the component.
@@ -115,7 +144,7 @@ def _surroundings(
         connector.get("name"): connector.get("kind")
         for connector in system.findall("ssd:Connectors/ssd:Connector", NAMESPACES)
     }
-    inputs: list[str] = []
+    inputs: list[tuple[str, str]] = []
     used: set[str] = set()
     for connection in system.findall("ssd:Connections/ssd:Connection", NAMESPACES):
         ends = [(connection.get(f"{e}Element"), connection.get(f"{e}Connector")) for e in _ENDS]
@@ -137,13 +166,15 @@ def _surroundings(
             components[name]["start"][variable] = parameters[outer[0]]
             used.add(outer[0])
         elif kinds[outer[0]] == "input":
-            inputs.append(f"{name}.{variable}")
+            inputs.append((name, variable))
     for name in used:
         del parameters[name]
     return inputs
 
 
-def _connections(system: etree._Element, archive: Archive) -> Iterator[str]:
+def _connections(
+    system: etree._Element, archive: Archive, names: Mapping[str, str]
+) -> Iterator[str]:
     """The connections between components, each from an output to an input."""
     kinds = {
         (element.get("name"), connector.get("name")): connector.get("kind")
@@ -159,14 +190,15 @@ def _connections(system: etree._Element, archive: Archive) -> Iterator[str]:
             raise archive.error(f"{what}: a transformation; put it into an FMU")
         for end in ends:
             if end not in kinds:
-                names = [".".join(known) for known in kinds]
+                known = [".".join(connector) for connector in kinds]
                 here = ".".join(end)
-                raise archive.error(f"{what}: no connector '{here}'; {nearest(here, names)}")
+                raise archive.error(f"{what}: no connector '{here}'; {nearest(here, known)}")
         if [kinds[end] for end in ends] == ["input", "output"]:
             ends.reverse()  # start and end do not tell the direction, the kinds do
         if [kinds[end] for end in ends] != ["output", "input"]:
             raise archive.error(f"{what}: give an output and an input")
-        yield "{}.{} -> {}.{}".format(*ends[0], *ends[1])
+        source, target = (f"{names[element]}.{connector}" for element, connector in ends)
+        yield f"{source} -> {target}"
 
 
 _ENDS = ("start", "end")
@@ -196,8 +228,10 @@ def _experiment(
     annotated: object,
     components: Mapping[str, Mapping[str, object]],
     archive: Archive,
+    given: Mapping[str, object],
 ) -> object:
-    """The experiment table: the annotation's, with the times of the default experiment."""
+    """The experiment table: the annotation's, with the times of the default experiment, and what
+    the caller gives in place of them."""
     if annotated is None:
         annotated = {}
     if not isinstance(annotated, dict):
@@ -208,16 +242,20 @@ def _experiment(
     for attribute, key in (("startTime", "start_time"), ("stopTime", "stop_time")):
         if attribute in times:
             table[key] = float(times[attribute])
+    table = replaced(table, given)
     if "stop_time" not in table:
-        raise archive.error(f"{SSD}: DefaultExperiment: stopTime is missing; give it in seconds")
+        raise archive.error(
+            f"{SSD}: DefaultExperiment: stopTime is missing; give it there in seconds, or run with "
+            "--stop-time"
+        )
     if "step" in table or "tolerance" in table:
         return table
     if (annotated_step := _step_of_other_tools(root, archive)) is not None:
-        return {**table, "coupling": "jacobi", "step": annotated_step}
+        return {"coupling": "jacobi", **table, "step": annotated_step}
     if all(describe(Path(str(c["fmu"]))).can_get_and_set_state for c in components.values()):
         return {**table, "tolerance": _TOLERANCE}
     step = (table["stop_time"] - table.get("start_time", 0.0)) / _STEPS
-    return {**table, "coupling": "jacobi", "step": step}
+    return {"coupling": "jacobi", **table, "step": step}
 
 
 def _step_of_other_tools(root: etree._Element, archive: Archive) -> float | None:

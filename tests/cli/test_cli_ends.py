@@ -1,0 +1,152 @@
+"""Where output ends, and what `run` takes in place of what a scenario states."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from congelation.results.results import open_results
+from tests.scenarios import FMUS, SCALAR, write
+from tests.studies import COMMAND, environment
+from tests.studies import command as congelation
+from tests.studies import last_line as one_line
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
+def test_a_full_disk_behind_the_output_is_one_line() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*COMMAND, "info", FMUS / "ScalarPlant.fmu"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment(),
+        )
+    assert done.returncode == 1
+    assert done.stderr == ("congelation: the output cannot be written: No space left on device\n")
+
+
+def test_a_reader_that_has_enough_gets_no_traceback() -> None:
+    read, written = os.pipe()
+    os.close(read)
+    with os.fdopen(written, "w") as pipe:
+        done = subprocess.run(
+            [*COMMAND, "info", FMUS / "ScalarPlant.fmu"],
+            stdout=pipe,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=environment(),
+        )
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
+def test_a_title_that_the_terminal_cannot_show_is_escaped(tmp_path: Path, encoding: str) -> None:
+    file = write(tmp_path, SCALAR, ("A short loop", "Fast \u03b8(t)"))
+    done = subprocess.run(
+        [*COMMAND, "run", file, "--progress", "quiet"],
+        capture_output=True,
+        text=True,
+        encoding=encoding,
+        cwd=tmp_path,
+        env={**environment(), "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"},
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert r"Fast \u03b8(t)" in done.stdout
+
+
+@pytest.mark.parametrize("option", ["--junit", "--json"])
+def test_a_report_that_cannot_be_written_is_refused_before_the_check(
+    tmp_path: Path, option: str
+) -> None:
+    done = congelation("check", FMUS / "ScalarPlant.fmu", option, tmp_path)
+    assert done.returncode == 2
+    assert f"{option} {tmp_path}" in " ".join(done.stderr.replace("│", " ").split())
+    assert "Traceback" not in done.stderr
+
+
+def test_run_takes_times_and_coupling_from_its_options(tmp_path: Path) -> None:
+    file = write(tmp_path)
+    out = tmp_path / "out"
+    done = congelation(
+        "run", file, "--out", out, "--stop-time", "0.5", "--tolerance", "1e-4",
+        "--coupling", "hermite", "--fmu-log", tmp_path / "log.txt",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    results = open_results(out)
+    for run in results.runs:
+        assert run.estimated_error is not None
+        assert run.estimated_error <= 1e-4
+        assert results.trajectory(run.run_id).time[-1] == 0.5
+    assert (tmp_path / "log.txt").is_file()
+    done = congelation("run", file, "--out", tmp_path / "steps", "--step", "0.25")
+    assert [run.steps for run in open_results(tmp_path / "steps").runs] == [
+        9,
+        9,
+    ]  # at 0.25 k and 0.15 k
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--stop-time", "-1"), "experiment.stop_time = -1 is not valid; give a time after"),
+        (("--step", "0"), "experiment.step = 0.0 is not valid"),
+        (("--tolerance", "2"), "experiment.tolerance = 2.0 is not valid"),
+        (
+            ("--coupling", "hermit"),
+            "experiment.coupling = 'hermit' is not known; did you mean 'hermite'?",
+        ),
+        (("--stop-time", "nan"), "experiment.stop_time"),
+        (("--fmu-log", "."), "--fmu-log .: this is a folder"),
+    ],
+)
+def test_a_wrong_option_of_run_is_one_line(
+    tmp_path: Path, options: tuple[str, ...], message: str
+) -> None:
+    done = congelation("run", write(tmp_path), "--out", tmp_path / "out", *options)
+    assert message in one_line(done, 2)
+
+
+def test_an_option_that_a_variant_sets_is_refused(tmp_path: Path) -> None:
+    change = ('"controller.damping" = true', '"experiment.step" = 0.02')
+    done = congelation("run", write(tmp_path, SCALAR, change), "--step", "0.1")
+    assert "experiment.step is what the variant 'Controller 1' sets" in one_line(done, 2)
+
+
+def test_messages_of_fmus_go_to_the_log(tmp_path: Path) -> None:
+    # A gain that the FMU refuses: it logs the reason.
+    file = write(tmp_path, SCALAR, ("epsilon = 0.3", "epsilon = -0.3"))
+    log = tmp_path / "log.txt"
+    done = congelation("run", file, "--out", tmp_path / "out", "--fmu-log", log)
+    assert done.returncode != 0
+    assert any("controller" in line and "epsilon" in line for line in log.read_text().splitlines())
+
+
+def test_the_most_frequent_causes_end_a_study_with_failures(tmp_path: Path) -> None:
+    axis = '\n[sweep]\n[[sweep.axes]]\nset = "controller.epsilon"\nvalues = [-0.1, -0.2, 0.3]\n'
+    done = congelation("sweep", write(tmp_path, SCALAR + axis), "--out", tmp_path / "out")
+    assert done.returncode == 1
+    assert "4 of 6 runs failed" in done.stderr
+    assert any(line.startswith("congelation: 4 x, such as run ") and "epsilon" in line
+               for line in done.stderr.splitlines())  # fmt: skip
+
+
+def test_an_archive_without_a_stop_time_runs_with_one(tmp_path: Path) -> None:
+    file = tmp_path / "loop.ssp"
+    assert congelation("export-ssp", write(tmp_path), file).returncode == 0
+    with zipfile.ZipFile(file) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    text = entries["SystemStructure.ssd"].decode()
+    text = text.replace(' stopTime="1.0"', "").replace('"stop_time": 1.0', '"start_time": 0.0')
+    entries["SystemStructure.ssd"] = text.replace('"start_time": 0.0,\n', "", 1).encode()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name, content in entries.items():
+            archive.writestr(name, content)
+    done = congelation("run", file, "--out", tmp_path / "out")
+    assert "run with --stop-time" in one_line(done, 2)
+    done = congelation("run", file, "--out", tmp_path / "out", "--stop-time", "0.2")
+    assert done.returncode == 0, done.stderr
