@@ -11,7 +11,7 @@ help:
 	@echo "make demo    Figs. 1-3 of the paper from FMUs, a sweep, and a page that links them all"
 	@echo "make test    the whole test suite"
 	@echo "make test-fast   the tests that are not marked slow"
-	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each"
+	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each, and ten minutes of mutations"
 	@echo "make check   format, lint, types, import layers"
 	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
 	@echo "make corpus  check the public FMUs in the folder CORPUS=.. (docs/conformance.md)"
@@ -56,8 +56,9 @@ test: fmus .venv-cofmupy/installed
 test-fast: fmus
 	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
 
+SECONDS_OF_MUTATIONS = 600
 fuzz: fmus
-	$(BIN)/python -m pytest -m fuzz --hypothesis-profile=fuzz
+	CONGELATION_FUZZ_SECONDS=$(SECONDS_OF_MUTATIONS) $(BIN)/python -m pytest -m fuzz --hypothesis-profile=fuzz
 
 check: .venv/installed
 	$(BIN)/ruff format --check .

@@ -513,13 +513,13 @@ def test_an_element_may_have_blanks_and_dots_in_its_name(archive: Path, name: st
     file = changed(
         archive,
         SSD,
+        ('"plant.', '"' + re.sub(r"\W", "_", name) + "."),  # in what is recorded and measured
         ('name="plant"', f'name="{shown}"'),
         ('startElement="plant"', f'startElement="{shown}"'),
         ('endElement="plant"', f'endElement="{shown}"'),
-        ("plant.", re.sub(r"\W", "_", name) + "."),  # in what is recorded and measured
     )
     scenario, plain = read_ssp(file), re.sub(r"\W", "_", name)
     assert [c.name for c in scenario.system.components] == [plain, "controller"]
     assert f"{plain}.x -> controller.x" in map(str, scenario.system.connections)
-    assert scenario.system.components[0].start["x0"] == 1.0
+    assert scenario.system.components[0].start["x0[1]"] == 1.0
     assert scenario.warnings == (f"{file}: the element '{name}' is called '{plain}' here",)
