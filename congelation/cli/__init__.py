@@ -14,7 +14,7 @@ import typer
 
 from congelation.cli.design import attack, tune
 from congelation.cli.designs import build, certify, examples, info, new
-from congelation.cli.results import export, ls, report, show
+from congelation.cli.results import export, ls, open_report, report, show
 from congelation.cli.runs import export_ssp, run, sweep
 from congelation.cli.schema import schema
 from congelation.cli.shared import BAD_INPUT, EXIT_CODES, FAILED, complain, interruptible
@@ -52,6 +52,7 @@ for command in (
     schema,
 ):
     app.command()(interruptible(command))
+app.command("open")(interruptible(open_report))
 app.command("export-ssp")(interruptible(export_ssp))
 
 
