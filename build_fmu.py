@@ -19,13 +19,22 @@ except ModuleNotFoundError as missing:
     )
 
 ROOT = Path(__file__).resolve().parent
-# One spec for each form.
+# One spec for each form, and for each scenario of scenarios/ that has FMUs of its own.
 STANDARD = (
     "scalar",
     "matched_pendulum",
     "state_feedback",
     "output_feedback",
     "reference",
+    "disturbance",
+    "noise",
+    "saturation",
+    "lag",
+    "delay",
+    "tracking",
+    "varying_gain",
+    "unknown_radius",
+    "nonlinear",
 )
 
 

@@ -28,14 +28,7 @@ class Libcosim(Engine):
     def run(self, steps: int, step: float, *, keep_rows: bool) -> Run:
         """The first step, which initialises, is left out of the time."""
         execution = CosimExecution.from_step_size(step_size=round(step * NANOSECONDS))
-        # Referred to as long as the execution lives: it does not own them.
-        owned = [
-            CosimLocalSlave(fmu_path=c.fmu, instance_name=c.name) for c in self.loop.components
-        ]
-        places = {
-            c.name: execution.add_local_slave(slave)
-            for c, slave in zip(self.loop.components, owned, strict=True)
-        }
+        owned, places = self._added(execution)
         self._prepare(execution, places)
         observer = None
         if keep_rows:
@@ -45,8 +38,19 @@ class Libcosim(Engine):
         execution.step(step_count=steps - 1)
         seconds = (watch.seconds()) * steps / (steps - 1)
         rows = [] if observer is None else self._rows(observer, places, steps, step)
-        del execution
+        del execution, owned
         return Run(seconds, rows)
+
+    def _added(self, execution: CosimExecution) -> tuple[list[CosimLocalSlave], dict[str, int]]:
+        """The FMUs, to be referred to as long as the execution lives, which does not own them; and
+        their places in it."""
+        owned = [
+            CosimLocalSlave(fmu_path=c.fmu, instance_name=c.name) for c in self.loop.components
+        ]
+        return owned, {
+            c.name: execution.add_local_slave(slave)
+            for c, slave in zip(self.loop.components, owned, strict=True)
+        }
 
     def _prepare(self, execution: CosimExecution, places: dict[str, int]) -> None:
         """Start values and connections."""

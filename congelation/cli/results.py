@@ -22,7 +22,7 @@ from congelation.results.figures import save
 from congelation.results.results import open_results
 from congelation.sweep.plan import FAILURES
 
-__all__ = ["export", "ls", "open_report", "report", "show"]
+__all__ = ["export", "ls", "open", "report", "show"]
 
 Directory = Annotated[
     Path, typer.Argument(metavar="DIR", help="Result directory.", show_default=False)
@@ -83,7 +83,7 @@ def report(
         print(page)
 
 
-def open_report(folder: Directory) -> None:
+def open(folder: Directory) -> None:
     """Write the page of a result directory, DIR/report.html, and show it in a browser."""
     page = (folder / PAGE).absolute()
     write_html(open_results(folder), page)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -37,11 +38,29 @@ from congelation.verify.reference import LARGEST_DEVIATION
 
 __all__ = ["export_ssp", "run", "sweep"]
 
+
+class Bars(StrEnum):
+    """What ``--trust`` asks for."""
+
+    BARS = "bars"
+    ORDER = "order"
+    PROBE = "probe"
+
+
 Out = Annotated[
     Path | None,
     typer.Option(help="Result directory.", show_default="results/<scenario>", metavar="DIR"),
 ]
 Verify = Annotated[bool, typer.Option("--verify", help="Compare with a monolithic solution.")]
+Trust = Annotated[
+    Bars | None,
+    typer.Option(
+        help="Error bars, by a second run with every step halved; =order: whether errors fall as "
+        "they should; =probe: whether an FMU steps inside on a grid of its own.",
+        metavar="[=order|=probe]",
+        show_default=False,
+    ),
+]
 Timeout = Annotated[
     float | None,
     typer.Option(help="Seconds that a run may take.", metavar="SECONDS", show_default=False),
@@ -62,6 +81,7 @@ def run(
     out: Out = None,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
     verify: Verify = False,
+    trust: Trust = None,
     timeout: Timeout = None,
     progress: ProgressForm = Form.BAR,
     as_json: Json = False,
@@ -71,13 +91,23 @@ def run(
     found = _load(scenario, strict=strict)
     folder = result_folder(found, out)
     with _interrupts():
-        plan = plan_study(found, folder, swept=False, verify=verify, timeout=_positive(timeout))
+        plan = plan_study(
+            found,
+            folder,
+            swept=False,
+            verify=verify,
+            trust=trust is Bars.BARS or (False if trust is None else trust.value),
+            timeout=_positive(timeout),
+        )
     results = _carried_out(plan, Local(workers), progress)
     records = results.study().records
     if as_json:
         print_json([record.row() for record in records])
     else:
         print_summary(results)
+        for record in records:
+            if record.trust_line is not None:
+                print(f"{record.variant}: {record.trust_line}")
         print_figures(results)
         print(results.store.index)
     complaints = [*_complaints(records)]

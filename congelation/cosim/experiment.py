@@ -12,7 +12,16 @@ from congelation.cosim.recording import Output
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import InvalidInput
 
-__all__ = ["Experiment", "require_abilities", "require_resolved_periods", "step_count"]
+__all__ = [
+    "Experiment",
+    "require_abilities",
+    "require_resolved_periods",
+    "slave_tolerance",
+    "step_count",
+]
+
+SLAVE_SHARE = 0.1
+"""Of the tolerance of a run, the part given to the FMUs' own integration."""
 
 RESOLVED = 16.0
 """Units in the last place of time that the shortest period takes."""
@@ -75,6 +84,11 @@ class Experiment:
         Times, steps or tolerances that no run can have, an unknown coupling, an option that the
         coupling does not have. That the coupling takes the tolerance is checked when the experiment
         is performed: of two variants that change both, each alone need not fit.
+
+    Examples
+    --------
+    >>> cg.Experiment(stop_time=2.0, coupling="hermite", tolerance=1e-6).tolerance
+    1e-06
     """
 
     stop_time: float
@@ -128,6 +142,13 @@ class Experiment:
         if self.output_interval is not None:
             return Output(interval=self.output_interval)
         return None if self.output_every is None else Output(every=self.output_every)
+
+
+def slave_tolerance(experiment: Experiment) -> float | None:
+    """Relative tolerance that the FMUs are given; None where they keep their own."""
+    if experiment.slave_tolerance is not None or experiment.tolerance is None:
+        return experiment.slave_tolerance
+    return SLAVE_SHARE * experiment.tolerance
 
 
 def step_count(start: float, stop: float, step: float) -> int:

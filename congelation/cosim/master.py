@@ -11,19 +11,22 @@ import numpy as np
 
 from congelation.cosim.coupling import Coupling
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.experiment import Experiment, require_abilities, require_resolved_periods
+from congelation.cosim.experiment import (
+    Experiment,
+    require_abilities,
+    require_resolved_periods,
+    slave_tolerance,
+)
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Columns, Memory, Output, Recorder
 from congelation.cosim.result import Result, RunEnded, Statistics, Status
-from congelation.cosim.stepping import Progress, Session, run_adaptive, run_fixed
+from congelation.cosim.stepping import Progress, Session, grid, nearness, run_adaptive, run_fixed
 from congelation.cosim.system import System
+from congelation.cosim.trust import trusted
 from congelation.errors import InvalidInput, SlaveError
 from congelation.fmi.slave import SlaveTerminated
 
 __all__ = ["perform", "simulate"]
-
-SLAVE_SHARE = 0.1
-"""Of the tolerance of a run, the part given to the FMUs' own integration."""
 
 
 def simulate(
@@ -41,6 +44,7 @@ def simulate(
     max_steps: int | None = None,
     progress: Progress | None = None,
     pool: SlavePool | None = None,
+    trust: bool | str = False,
 ) -> Result:
     """Run a coupled system.
 
@@ -75,6 +79,12 @@ def simulate(
         Called with the fraction done, from 0 to 1, about ten times a second.
     pool : SlavePool, optional
         Lends the instances, and keeps them for the next run.
+    trust : bool or str, optional
+        True: the run is made again with every step halved, and each recorded variable gets an
+        error bar: columns ``error(component.variable)`` and `Result.trust`. "order": a run with
+        doubled steps as well, which shows whether errors fall with the step as they should.
+        "probe": the beginning with far shorter steps as well, which finds an FMU that steps
+        inside on a grid of its own.
 
     Returns
     -------
@@ -84,7 +94,14 @@ def simulate(
     Raises
     ------
     InvalidInput
-        The system, the times or the coupling are wrong.
+        The system, the times, the coupling or what is asked of trust are wrong.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> result = cg.simulate(system, stop_time=1.0, tolerance=1e-6, coupling="hermite")
+    >>> result.status is cg.Status.COMPLETED
+    True
     """
     experiment = Experiment(
         stop_time=stop_time,
@@ -97,7 +114,9 @@ def simulate(
         slave_tolerance=slave_tolerance,
         max_steps=max_steps,
     )
-    return perform(system, experiment, output=output, progress=progress, pool=pool)
+    if trust is False:
+        return perform(system, experiment, output=output, progress=progress, pool=pool)
+    return trusted(perform, system, experiment, trust, output=output, progress=progress, pool=pool)
 
 
 def perform(
@@ -107,6 +126,7 @@ def perform(
     output: Output | Sequence[Output] | None = None,
     progress: Progress | None = None,
     pool: SlavePool | None = None,
+    points: Sequence[float] | None = None,
 ) -> Result:
     """Run a coupled system as an experiment says.
 
@@ -118,6 +138,9 @@ def perform(
         As in `simulate`; by default what the experiment says.
     progress, pool
         As in `simulate`.
+    points : sequence of float, optional
+        Communication points after the start time, in seconds, the last being the stop time, in
+        place of the experiment's steps.
 
     Returns
     -------
@@ -169,7 +192,7 @@ def perform(
                 rows,
                 progress,
             )
-            status, message = _ended(session, experiment)
+            status, message = _ended(session, experiment, points)
             statistics = session.statistics(clock.perf_counter() - begin)
         except SlaveError as error:
             status, message = Status.SLAVE_FAILED, str(error)
@@ -180,20 +203,21 @@ def perform(
     return Result(status, message, table[:, 0], names, table[:, 1:], statistics)
 
 
-def _ended(session: Session, experiment: Experiment) -> tuple[Status, str]:
+def _ended(
+    session: Session, experiment: Experiment, points: Sequence[float] | None
+) -> tuple[Status, str]:
     """Run a session to its end, whatever that is."""
     tolerance, step = experiment.tolerance, experiment.step
-    slave_tolerance = experiment.slave_tolerance
-    if slave_tolerance is None and tolerance is not None:
-        slave_tolerance = SLAVE_SHARE * tolerance
     # Overflow and nan are looked for after every step, and end the run with a name.
     with np.errstate(over="ignore", invalid="ignore"):
         try:
-            state = session.initialise(slave_tolerance)
-            if tolerance is not None:
+            state = session.initialise(slave_tolerance(experiment))
+            if points is not None:
+                run_fixed(session, state, points, nearness(points, experiment.start_time))
+            elif tolerance is not None:
                 run_adaptive(session, state, tolerance, step)
             elif step is not None:
-                run_fixed(session, state, step)
+                run_fixed(session, state, *grid(session.start, session.stop, step))
             session.finish(completed=True)
             for slave in session.ensemble.slaves:
                 slave.complete()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 
 import numpy as np
@@ -10,11 +10,19 @@ import numpy.typing as npt
 
 from congelation.errors import InvalidInput, nearest
 
-__all__ = ["Result", "RunEnded", "Statistics", "Status"]
+__all__ = ["Result", "RunEnded", "Statistics", "Status", "Trust"]
+
+Floats = npt.NDArray[np.float64]
 
 
 class Status(Enum):
-    """How a run ended; each value is a sentence, and a remedy where one is needed."""
+    """How a run ended; each value is a sentence, and a remedy where one is needed.
+
+    Examples
+    --------
+    >>> cg.Status.COMPLETED.value
+    'The run reached its stop time.'
+    """
 
     COMPLETED = "The run reached its stop time."
     TERMINATED = "An FMU ended the run before its stop time; what it says is no failure."
@@ -83,6 +91,10 @@ class Statistics:
         drives it, relative to the output's nominal value plus its size.
     wall_time : float
         Seconds, initialisation included.
+    order : int
+        Power of the step with which the error of the run falls, where everything is smooth.
+    parts : int
+        Steps that each macro step consists of: two where it is made in halves, which are kept.
     """
 
     macro_steps: int = 0
@@ -94,6 +106,52 @@ class Statistics:
     warnings: int = 0
     estimated_error: float = 0.0
     wall_time: float = 0.0
+    order: int = 1
+    parts: int = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Trust:
+    """How far the values of a run may be off, see `congelation.cosim.trust`.
+
+    Parameters
+    ----------
+    verdict : str
+        "resolved", "rough" or "not resolved": that of the worst variable. "unknown", or the status
+        of the run that was to tell, where there is no number.
+    line : str
+        The same in one sentence.
+    error : float or None
+        The widest band, relative to the peak of its variable.
+    bands : array, shape (N, M), or None
+        Half the width of the bands around the values of the run.
+    relative : array, shape (M,)
+        The widest band of each variable, over its peak; of a switched one, the share of the time
+        in which the runs differ.
+    verdicts : tuple of str, length M
+    since : tuple of (float or None), length M
+        When the band first passes a tenth of the peak, in seconds.
+    order : float or None
+        Power of the step with which the error falls: as expected, or observed where that was asked
+        for.
+    runs : float
+        Macro steps of all runs over those of the run itself.
+    """
+
+    verdict: str
+    line: str
+    error: float | None = None
+    bands: Floats | None = None
+    relative: Floats = field(default_factory=lambda: np.empty(0))
+    verdicts: tuple[str, ...] = ()
+    since: tuple[float | None, ...] = ()
+    order: float | None = None
+    runs: float = 1.0
+
+    @classmethod
+    def unknown(cls, reason: str, verdict: str = "unknown") -> Trust:
+        """Of a run whose error nobody can tell."""
+        return cls(verdict, f"trust: the error is unknown: {reason}")
 
 
 SHOWN = 8
@@ -117,6 +175,15 @@ class Result:
         Row k holds the values at time[k]. Where a sink took the rows, `time` and `values` hold
         the last one alone.
     statistics : Statistics
+    trust : Trust or None
+        Where error bars were asked for. The columns "error(component.variable)" are their bands.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> result = cg.simulate(system, stop_time=1.0, step=0.01)
+    >>> result.values.shape == (len(result.time), len(result.names))
+    True
     """
 
     status: Status
@@ -125,6 +192,7 @@ class Result:
     names: tuple[str, ...]
     values: npt.NDArray[np.float64]
     statistics: Statistics
+    trust: Trust | None = None
 
     def __repr__(self) -> str:
         """The end of the run and its size, not its rows."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from congelation.cosim.result import RunEnded, Statistics, Status
 from congelation.cosim.step_control import Halving, StepSize, halved, is_floor
 from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
-__all__ = ["Progress", "Session", "run_adaptive", "run_fixed"]
+__all__ = ["Progress", "Session", "grid", "nearness", "run_adaptive", "run_fixed"]
 
 Progress = Callable[[float], None]
 
@@ -234,6 +234,8 @@ class Session:
             warnings=sum(slave.log.warnings for slave in self.ensemble.slaves),
             estimated_error=max(self.largest_error, stepper.largest_error()),
             wall_time=wall_time,
+            order=stepper.order,
+            parts=2 if self._tolerance is not None and stepper.halves else 1,
         )
 
 
@@ -246,19 +248,38 @@ def just_before(event: float) -> float:
     return event - UNITS_BEFORE * math.ulp(event)
 
 
-def run_fixed(session: Session, state: Any, step: float) -> None:
-    """Step at t_0 + k h; the last step ends at the stop time exactly.
+def grid(start: float, stop: float, step: float) -> tuple[Iterator[float], float]:
+    """The points t_0 + k h for `run_fixed`, the last one at the stop time exactly, and `near`."""
+    count = step_count(start, stop, step)
+    points = (stop if k == count else start + k * step for k in range(1, count + 1))
+    return points, EVENT_ROUNDING * min(step, stop - start)
+
+
+def nearness(points: Sequence[float], start: float) -> float:
+    """`near` of any other points."""
+    return EVENT_ROUNDING * float(np.diff(points, prepend=start).min())
+
+
+def run_fixed(session: Session, state: Any, points: Iterable[float], near: float) -> None:
+    """Step from each communication point to the next; the last one is the stop time.
 
     Where a component announces a jump inside a step, the step is divided there.
+
+    Parameters
+    ----------
+    session : Session
+    state
+        Of the coupling, at the start time.
+    points : iterable of float
+        Communication points after the start, in seconds.
+    near : float
+        A jump this near to a point, in seconds, is taken to lie on it.
     """
-    start, stop = session.start, session.stop
+    start = session.start
     advance, record = session.stepper.advance, session.record
-    count = step_count(start, stop, step)
-    near = EVENT_ROUNDING * min(step, stop - start)
     event = session.next_event(start)
     time = start
-    for k in range(1, count + 1):
-        end = stop if k == count else start + k * step
+    for end in points:
         while event <= end + near:
             before = min(just_before(event), end)
             after = max(event, end) if abs(end - event) <= near else event

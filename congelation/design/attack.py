@@ -184,6 +184,13 @@ def attack(
     ------
     InvalidInput
         If an objective or variant is unknown, or the scenario is no such loop.
+
+    Examples
+    --------
+    >>> found = cg.attack("scenarios/scalar.toml", variants=["Controller 2"], objectives=["peak"],
+    ...                   effort=0.02)
+    >>> found.finds[0].value > 1.0
+    True
     """
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(pathlib.Path(scenario))
@@ -382,7 +389,9 @@ def _find(
         remarks = case_assumptions(problem.case)
         design = Design(problem.variant, problem.loop, radius, remarks)
         certified = certify_design(design, CERTIFY_SAMPLES, job.seed).holds
-        ell = problem.certificate.perturbations.ell(problem.admissible.center)
+        ell = problem.certificate.perturbations.ell(
+            problem.admissible.center, problem.admissible.half
+        )
         margins = problem.certificate.along(solution.states[rows], ell)
     except InvalidInput:  # there is no certificate for these gains
         certified, margins = False, []

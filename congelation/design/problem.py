@@ -254,7 +254,8 @@ def problem_of(scenario: Scenario, variant: str) -> Problem:
 
 
 def _ball(loop: ClosedLoop, p: int) -> PerturbationSet:
-    delta = float(loop.values["delta"].item())
+    # Where the law estimates the radius, only the profile tells it.
+    delta = float(loop.values["delta"].item()) if "delta" in loop.values else 0.0
     if "delta_1" not in loop.values:
         return PerturbationSet(delta, (True,) * p)
     b = p - loop.values["k"].size

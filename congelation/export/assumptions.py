@@ -13,6 +13,7 @@ __all__ = ["degree_of", "known_theta", "spec_assumptions", "spec_warnings"]
 _UNSURE = {
     "table": "is read from a table, which may be exchanged",
     "telegraph": "has a random term",
+    "noise": "has a random term",
 }
 """Terms whose values are not in the formula of the profile, and what is said of them."""
 
@@ -27,12 +28,14 @@ def spec_assumptions(spec: Spec) -> tuple[Remark, ...]:
             return f'plant.profile."{name}"'
         return f"controller.start.{name}"
 
+    model = spec.controller.model
     return remarks_on(
-        spec.controller.model.defaults(),
+        model.defaults() | {f"{s.variables.name}0": s.start for s in model.states},
         known_theta(profiles, (0.0,) * len(profiles), absent),
         degree_of(spec.form, spec.structure),
         place,
         spec.controller.stated,
+        varying_gain=spec.structure.get("gain") == "varying",
     )
 
 

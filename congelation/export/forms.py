@@ -10,17 +10,18 @@ from congelation.errors import InvalidInput, nearest
 from congelation.export.equations import Special
 from congelation.signals import Slots
 from congelation.theory.adaptation import NEUTRAL, AdaptationFactory, gradient, robust
-from congelation.theory.blocks import reference
+from congelation.theory.blocks import delay, disturbance, lag, noise, reference, saturation
 from congelation.theory.kfilter import FilterFactory, iss_filter, standard_filter
 from congelation.theory.matching import matched_controller, matched_plant
 from congelation.theory.model import Model
 from congelation.theory.observer_form import observer_form_plant
+from congelation.theory.options import Options
 from congelation.theory.output_feedback import output_feedback_controller
 from congelation.theory.scalar import scalar_controller, scalar_plant
 from congelation.theory.state_feedback import state_feedback_controller
-from congelation.theory.strict_feedback import strict_feedback_plant
+from congelation.theory.strict_feedback import Nonlinear, Regressors, strict_feedback_plant
 
-__all__ = ["BLOCKS", "FORMS", "BlockForm", "Form", "Structure", "models_of"]
+__all__ = ["BLOCKS", "FORMS", "BlockForm", "Form", "Structure", "fit", "models_of"]
 
 Structure = Mapping[str, Any]
 """What a form is derived from, as numbers and lists: it goes into FMUs as JSON."""
@@ -39,13 +40,16 @@ class Form:
     plant, controller : callable
         From the structure to the model; the controller takes the law of its estimates too.
     optional : mapping
-        Keys that may be left out, and what they then are.
+        Keys that may be left out, and what they then are; None: they stay out.
+    law : tuple of str
+        Keys that only the controller is derived from: a plant goes with any of them.
     """
 
     keys: tuple[str, ...]
     plant: Callable[[Structure], Model]
     controller: Callable[[Structure, AdaptationFactory], Model]
     optional: Mapping[str, object] = field(default_factory=dict)
+    law: tuple[str, ...] = ()
 
     def models(self, structure: Structure) -> tuple[Model, Model, Special]:
         """Plant, controller with every adaptation law, and its special case without them."""
@@ -78,10 +82,19 @@ class BlockForm:
     room: Slots = field(default_factory=Slots)
 
 
-def models_of(form: str, structure: Structure) -> tuple[Model, Model]:
-    """Plant and controller of a form, from the structure that its spec gave."""
-    plant, controller, _ = FORMS[form].models(structure)
-    return plant, controller
+def models_of(form: str, plant: Structure, controller: Structure) -> tuple[Model, Model]:
+    """A plant and a controller of a form, from the structures that their specs gave."""
+    return FORMS[form].plant(plant), FORMS[form].controller(controller, robust)
+
+
+def fit(one: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether a plant and a controller, by what their FMUs tell of them, are of one system."""
+
+    def system(about: Mapping[str, Any]) -> dict[str, Any]:
+        law = FORMS[about["form"]].law if about["form"] in FORMS else ()
+        return {key: value for key, value in about["structure"].items() if key not in law}
+
+    return bool(one["form"] == other["form"]) and system(one) == system(other)
 
 
 def _order(structure: Structure, key: str) -> int:
@@ -93,6 +106,26 @@ def _filter(structure: Structure) -> FilterFactory:
     if name not in FILTERS:
         raise InvalidInput(f"filter = '{name}' is not known; {nearest(name, FILTERS)}")
     return FILTERS[name]
+
+
+def _regressors(structure: Structure) -> Regressors | Any:
+    """phibar of (10), or the nonlinear regressors phi."""
+    if ("phi" in structure) == ("phibar" in structure):
+        raise InvalidInput(
+            "phibar and phi are two ways to give the regressors; give one: phibar for a linear "
+            "plant, phi for formulas in x[1] .. x[n]"
+        )
+    if "phibar" in structure:
+        return structure["phibar"]
+    return Nonlinear(tuple(tuple(row) for row in structure["phi"]))
+
+
+def _options(structure: Structure) -> Options:
+    return Options(
+        tracking=bool(structure.get("tracking", False)),
+        varying_gain=structure.get("gain", "constant") == "varying",
+        unknown_radius=structure.get("radius", "known") == "estimated",
+    )
 
 
 FORMS: Mapping[str, Form] = {
@@ -107,17 +140,30 @@ FORMS: Mapping[str, Form] = {
         lambda s, law: matched_controller(s["A"], s["B"], law),
     ),
     "strict-feedback": Form(
-        ("n", "p", "phibar"),
-        lambda s: strict_feedback_plant(s["phibar"]),
-        lambda s, law: state_feedback_controller(s["phibar"], law),
+        ("n", "p", "phibar", "phi", "gain", "tracking", "radius"),
+        lambda s: strict_feedback_plant(_regressors(s), _options(s).varying_gain),
+        lambda s, law: state_feedback_controller(_regressors(s), law, _options(s)),
+        dict.fromkeys(("phibar", "phi", "gain", "tracking", "radius")),
+        ("tracking", "radius"),
     ),
     "observer": Form(
-        ("n", "m", "filter"),
+        ("n", "m", "filter", "tracking", "radius", "gain"),
         lambda s: observer_form_plant(_order(s, "n"), _order(s, "m")),
-        lambda s, law: output_feedback_controller(_order(s, "n"), _order(s, "m"), law, _filter(s)),
-        {"filter": "iss"},
+        lambda s, law: output_feedback_controller(
+            _order(s, "n"), _order(s, "m"), law, _filter(s), _options(s)
+        ),
+        {"filter": "iss", "tracking": None, "radius": None, "gain": None},
+        ("filter", "tracking", "radius"),
     ),
 }
+
+
+def _sized(model: Callable[[int], Model], run_time: str, room: Slots | None = None) -> BlockForm:
+    """The form of blocks of `size` equal signals."""
+    return BlockForm(
+        ("size",), lambda s: model(_order(s, "size")), run_time, {"size": 1}, room or Slots()
+    )
+
 
 BLOCKS: Mapping[str, BlockForm] = {
     "reference": BlockForm(
@@ -126,4 +172,11 @@ BLOCKS: Mapping[str, BlockForm] = {
         "driven",
         {"sines": 2},
     ),
+    "disturbance": _sized(disturbance, "driven"),
+    "noise": _sized(
+        noise, "driven", Slots(sines=0, squares=0, chirps=0, telegraphs=0, table=False, noises=1)
+    ),
+    "saturation": _sized(saturation, "block"),
+    "lag": _sized(lag, "block"),
+    "delay": _sized(delay, "delay"),
 }

@@ -26,7 +26,10 @@ The forms and the keys of their structure:
 
     scalar             none
     matched            A, B: x' = A x + B (u + theta^T x)
-    strict-feedback    n, p, phibar: (9), a table of the rows phibar_{i,j} that are not 0
+    strict-feedback    n, p, phibar: (9), a table of the rows phibar_{i,j} that are not 0;
+                       or phi: formulas, {1 = ["x[1]**2", "sin(x[1])"]}, p in each row;
+                       gain = "varying": the input gain b(t) is the last element of theta;
+                       tracking, radius = "estimated": what the law is to cope with
     observer           n, m, filter: (27), with the "iss" or the "standard" K-filter
 
 A block to put between them, or to drive them with, is a spec of one FMU:
@@ -45,6 +48,11 @@ A block to put between them, or to drive them with, is a spec of one FMU:
 The forms of blocks, and the keys of their structure:
 
     reference          n, sines: yr[0] .. yr[n], a signal and its derivatives
+    disturbance        size: d[1] .. d[size], from profiles
+    noise              size: y = u + n(t), sampled random numbers
+    saturation         size: y = u within the limits
+    lag                size: T y' = gain u - y
+    delay              size: y(t) = u(t - delay)
 """
 
 from __future__ import annotations
@@ -119,6 +127,12 @@ class Spec:
     form, structure
         What the models are derived from; see `congelation.export.forms`.
     plant, controller : FmuSpec
+
+    Examples
+    --------
+    >>> spec = cg.Spec.read("specs/scalar.toml")
+    >>> [fmu.name for fmu in spec.fmus]
+    ['ScalarPlant', 'ScalarController']
     """
 
     name: str
@@ -127,6 +141,11 @@ class Spec:
     structure: Structure
     plant: FmuSpec
     controller: FmuSpec
+
+    @classmethod
+    def read(cls, file: Path | str) -> Spec:
+        """The spec that a file holds; `InvalidInput` says what is wrong in it."""
+        return read_spec(Path(file))
 
     @property
     def fmus(self) -> tuple[FmuSpec, ...]:
@@ -199,6 +218,16 @@ def read_buildable(file: Path) -> Spec | BlockSpec:
     plant, controller, special = top.attempt("structure", lambda: form.models(structure))
     units = _units(read["units"], plant, controller)
     sections = read["plant"], read["controller"]
+    if structure.get("radius") == "estimated" and "delta" in sections[1].section("start").data:
+        raise (
+            sections[1]
+            .section("start")
+            .error(
+                "delta",
+                'is given, while radius = "estimated"; leave one of them out (docs/theory.md, '
+                "'Unknown radius')",
+            )
+        )
     blocks = (
         replace(
             _profiled(sections[0], plant.with_units(units), file.parent),
@@ -216,7 +245,7 @@ def read_buildable(file: Path) -> Spec | BlockSpec:
 
 def _structure(section: Section, form: Form | BlockForm) -> Structure:
     section.only(form.keys).require(*(key for key in form.keys if key not in form.optional))
-    structure: dict[str, object] = dict(form.optional)
+    structure = {key: value for key, value in form.optional.items() if value is not None}
     for key in section.data:
         value = section.value(keys.STRUCTURE[key])
         reader = _READERS.get(key)
@@ -242,6 +271,18 @@ def _phibar(section: Section, key: str) -> list[list[list[float]]]:
     return rows
 
 
+def _phi(section: Section, key: str) -> list[list[str]]:
+    """phi_i from a table ``i = [..p formulas..]``; those left out are 0."""
+    n, p = (section.value(keys.STRUCTURE[name]) for name in ("n", "p"))
+    table = section.section(key).only([str(i) for i in range(1, n + 1)])
+    rows = [["0"] * p for _ in range(n)]
+    for place, value in table.data.items():
+        if not isinstance(value, list) or len(value) != p:
+            raise table.wrong(place, f'{p} formulas, such as "x[1]**2"')
+        rows[int(place) - 1] = [str(formula) for formula in value]
+    return rows
+
+
 def _numbers(section: Section, key: str) -> object:
     try:
         numbers = np.asarray(section.data[key], dtype=float)
@@ -252,7 +293,7 @@ def _numbers(section: Section, key: str) -> object:
     return numbers.tolist()
 
 
-_READERS = {"phibar": _phibar, "A": _numbers, "B": _numbers}
+_READERS = {"phibar": _phibar, "phi": _phi, "A": _numbers, "B": _numbers}
 
 
 def _units(section: Section, *models: Model) -> Units:
@@ -309,6 +350,8 @@ def _slots(profile: Profile, room: Slots) -> Slots:
         max(room.squares, kinds.count("square")),
         max(room.chirps, kinds.count("chirp")),
         max(room.telegraphs, kinds.count("telegraph")),
+        room.table or "table" in kinds,
+        max(room.noises, kinds.count("noise")),
     )
 
 

@@ -171,12 +171,12 @@ def _common(a: Array, b: Array) -> tuple[Array, Array]:
 def _curve(
     label: str, variant: int, dash: tuple[int, ...], unit: str, time: Array, values: Array
 ) -> Curve:
-    drawn_time, drawn = thin(time, values, POINTS // 2)
+    rows = thin(values, POINTS // 2)
     numbers = (math.nan,) * 4
     if np.any(np.isfinite(values)):
         least, largest = float(np.nanmin(values)), float(np.nanmax(values))
         numbers = (float(values[0]), least, largest, float(values[-1]))
-    return Curve(label, variant, dash, unit, drawn_time, drawn, numbers)
+    return Curve(label, variant, dash, unit, time[rows], values[rows], numbers)
 
 
 def pretty(label: str) -> str:

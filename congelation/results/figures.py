@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.result import Status
+from congelation.cosim.trust import error_name
 from congelation.errors import InvalidInput, nearest
 from congelation.results.labels import math_label, with_unit
 from congelation.results.record import RunRecord, Study, Trajectory
@@ -33,6 +34,7 @@ if TYPE_CHECKING:  # Matplotlib takes half a second, which only commands that dr
 __all__ = ["FORMATS", "SETTINGS", "draw", "draw_panels", "first_scale", "save", "thin"]
 
 Array = npt.NDArray[np.float64]
+Places = npt.NDArray[np.intp]
 _Style = Literal["-"] | tuple[float, Sequence[float]]
 
 FORMATS = ("pdf", "png")
@@ -90,6 +92,7 @@ class _Curve:
     time: Array
     values: Array
     unit: str
+    band: Array | None = None  # half the width of an error bar
 
 
 def draw(
@@ -185,10 +188,15 @@ def _cut(trajectory: Trajectory, start: float, stop: float) -> Trajectory:
 def _curves(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:
     for run in runs:
         for column in run.trajectory.group(panel):
-            time, values = thin(run.trajectory.time, run.trajectory.select((column,))[:, 0])
+            values = run.trajectory.select((column,))[:, 0]
+            rows = thin(values)
             unit = run.trajectory.units.get(column, "")
             label = math_label(column.partition(".")[2])
-            yield _Curve(label, run.variant, run.completed, time, values, unit)
+            band = None
+            if error_name(column) in run.trajectory.columns:
+                band = run.trajectory.select((error_name(column),))[rows, 0]
+            time = run.trajectory.time[rows]
+            yield _Curve(label, run.variant, run.completed, time, values[rows], unit, band)
 
 
 def _norms(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:
@@ -197,11 +205,12 @@ def _norms(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:
         columns = run.trajectory.group(group)
         if columns:
             size = norm(run.trajectory.select(columns))
-            time, values = thin(run.trajectory.time, size)
+            rows = thin(size)
             units = {run.trajectory.units.get(column, "") for column in columns}
             unit = units.pop() if len(units) == 1 else ""
             label = f"|{math_label(group.partition('.')[2])}|"
-            yield _Curve(label, run.variant, run.completed, time, values, unit)
+            time = run.trajectory.time[rows]
+            yield _Curve(label, run.variant, run.completed, time, size[rows], unit)
 
 
 def _without_repeats(curves: Sequence[_Curve]) -> list[_Curve]:
@@ -227,6 +236,9 @@ def _panel(axis: Axes, panel: str, curves: Sequence[_Curve], variants: Sequence[
     for curve in curves:
         colour = _COLOURS[labels.index(curve.label) % len(_COLOURS)]
         axis.plot(curve.time, curve.values, color=colour, linestyle=_style(variants, curve.variant))
+        if curve.band is not None:
+            low, high = curve.values - curve.band, curve.values + curve.band
+            axis.fill_between(curve.time, low, high, color=colour, alpha=0.2, linewidth=0.0)
         if not curve.completed:  # a cross where the run ended
             axis.plot(curve.time[-1:], curve.values[-1:], color=colour, marker="x", clip_on=False)
     if _is_norm(panel):
@@ -306,16 +318,15 @@ def _style(variants: Sequence[str], variant: str) -> _Style:
     return _STYLES[variants.index(variant) % len(_STYLES)]
 
 
-def thin(time: Array, values: Array, bins: int = _BINS) -> tuple[Array, Array]:
+def thin(values: Array, bins: int = _BINS) -> Places:
     """The rows that can be seen: the first and last, and the extremes of each of some bins."""
-    finite = np.isfinite(values)
-    time, values = time[finite], values[finite]
-    if len(time) <= 2 * bins:
-        return time, values
-    edges = np.linspace(0, len(time), bins + 1).astype(int)
-    keep = {0, len(time) - 1}
+    finite = np.flatnonzero(np.isfinite(values))
+    if len(finite) <= 2 * bins:
+        return finite
+    values = values[finite]
+    edges = np.linspace(0, len(finite), bins + 1).astype(int)
+    keep = {0, len(finite) - 1}
     for start, stop in itertools.pairwise(edges):
         keep.add(start + int(np.argmin(values[start:stop])))
         keep.add(start + int(np.argmax(values[start:stop])))
-    rows = np.array(sorted(keep))
-    return time[rows], values[rows]
+    return finite[sorted(keep)]

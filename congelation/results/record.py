@@ -67,7 +67,9 @@ class RunRecord:
     worst_margin : float, optional
         Largest relative margin of the Lyapunov certificate; positive where it fails.
     trust_error : float, optional
-    trust_verdict : str, optional
+        Where error bars were asked for, the widest band relative to the peak of its variable.
+    trust_verdict, trust_line : str, optional
+        As in `congelation.cosim.result.Trust`.
     fmus : mapping
         SHA-256 of the FMU of each component.
     seed : int, optional
@@ -96,6 +98,7 @@ class RunRecord:
     worst_margin: float | None = None
     trust_error: float | None = None
     trust_verdict: str | None = None
+    trust_line: str | None = None
     fmus: Mapping[str, str] = field(default_factory=dict)
     seed: int | None = None
     code_version: str = ""

@@ -73,6 +73,7 @@ def run(
     out: Path | str | None = None,
     workers: int = 1,
     verify: bool = False,
+    trust: bool | str = False,
     timeout: float | None = None,
     progress: Listener | None = None,
 ) -> Results:
@@ -89,6 +90,8 @@ def run(
         Number of processes.
     verify : bool
         Whether each run that reached its stop time is compared with the monolithic solution.
+    trust : bool or str
+        Whether runs get error bars, as in `congelation.simulate`.
     timeout : float, optional
         Seconds that a run may take.
     progress : callable, optional
@@ -100,9 +103,22 @@ def run(
         If the scenario is wrong, no run of it can begin, or the directory cannot be used.
     StoreError
         If results cannot be written.
+
+    Examples
+    --------
+    >>> results = cg.run("scenarios/scalar.toml", out=folder / "scalar")
+    >>> [run.variant for run in results.runs]
+    ['Controller 1', 'Controller 2']
     """
     found = read(scenario)
-    plan = plan_study(found, result_folder(found, out), swept=False, verify=verify, timeout=timeout)
+    plan = plan_study(
+        found,
+        result_folder(found, out),
+        swept=False,
+        verify=verify,
+        trust=trust,
+        timeout=timeout,
+    )
     return carry_out(plan, Local(workers), progress or notebook_progress())
 
 
@@ -140,6 +156,13 @@ def sweep(
         If the scenario is wrong, no run of it can begin, or the directory cannot be used.
     StoreError
         If results cannot be written.
+
+    Examples
+    --------
+    >>> starter = cg.new("flap", folder)
+    >>> fmus = cg.build(starter / "spec.toml", out=starter / "fmus")
+    >>> len(cg.sweep(starter / "scenario.toml", out=folder / "swept").runs)
+    12
     """
     found = read(scenario)
     plan = plan_study(

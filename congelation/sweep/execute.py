@@ -10,6 +10,7 @@ from congelation.cosim.master import perform
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
 from congelation.cosim.result import Result
+from congelation.cosim.trust import trusted, variable_of
 from congelation.errors import CongelationError, InvalidInput
 from congelation.fmi.calls import CALLS
 from congelation.fmi.description import describe
@@ -84,6 +85,8 @@ class Job:
         SHA-256 of each component's FMU.
     numerics : int
         Version of the numerics that the study was planned with.
+    trust : bool or str
+        Whether runs get error bars, as in `congelation.cosim.simulate`.
     """
 
     study: str
@@ -95,6 +98,7 @@ class Job:
     swept: bool
     fmus: Mapping[str, str]
     numerics: int
+    trust: bool | str = False
 
 
 @dataclass(frozen=True)
@@ -113,6 +117,9 @@ class Outcome:
     wall_time: float | None = None
     warnings: int | None = None
     worst_margin: float | None = None
+    trust_error: float | None = None
+    trust_verdict: str | None = None
+    trust_line: str | None = None
 
 
 def execute(
@@ -182,13 +189,19 @@ def _simulated(
     # Metrics are of every communication point, whatever rows are kept.
     output, points = experiment.output, Points(scenario.measured)
     apart = output is not None and bool(scenario.metrics)
-    result = perform(
-        case.system,
-        experiment,
-        output=[output, Output(sink=points)] if output is not None and apart else None,
-        progress=progress,
-        pool=pool,
-    )
+    outputs = [output, Output(sink=points)] if output is not None and apart else None
+    if job.trust is False:
+        result = perform(case.system, experiment, output=outputs, progress=progress, pool=pool)
+    else:
+        result = trusted(
+            perform,
+            case.system,
+            experiment,
+            job.trust,
+            output=outputs,
+            progress=progress,
+            pool=pool,
+        )
     CALLS.clear()  # what ends the process from here on is no FMU
     kept = Trajectory(result.time, result.names, result.values, _units(case, result.names))
     if not result.whole:  # a metric of half a run would pass for one of a whole run
@@ -206,7 +219,7 @@ def _simulated(
 
 
 def _outcome(result: Result) -> Outcome:
-    cost = result.statistics
+    cost, trust = result.statistics, result.trust
     return Outcome(
         result.status.name,
         result.message,
@@ -216,12 +229,15 @@ def _outcome(result: Result) -> Outcome:
         estimated_error=cost.estimated_error,
         wall_time=cost.wall_time,
         warnings=cost.warnings,
+        trust_error=trust.error if trust is not None else None,
+        trust_verdict=trust.verdict if trust is not None else None,
+        trust_line=trust.line if trust is not None else None,
     )
 
 
 def _units(case: Case, columns: Sequence[str]) -> dict[str, str]:
     descriptions = {c.name: describe(c.fmu) for c in case.system.components}
-    parts = {column: column.partition(".") for column in columns}
+    parts = {column: variable_of(column).partition(".") for column in columns}
     return {
         column: descriptions[name].variables[variable].unit
         for column, (name, _, variable) in parts.items()

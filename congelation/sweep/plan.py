@@ -118,6 +118,7 @@ def plan_study(
     resume: bool = False,
     retry: Collection[str] = (),
     verify: bool = False,
+    trust: bool | str = False,
     timeout: float | None = None,
     write: bool = True,
 ) -> Plan:
@@ -137,6 +138,8 @@ def plan_study(
         Those of `FAILURES` that are done again nevertheless.
     verify : bool
         Whether runs are compared with the monolithic solution.
+    trust : bool or str
+        Whether they get error bars, as in `congelation.cosim.simulate`.
     timeout : float, optional
         Seconds that a run may take, in place of those of the sweep.
     write : bool
@@ -194,6 +197,7 @@ def plan_study(
         swept=swept,
         fmus={c.name: describe(c.fmu).sha256 for c in scenario.system.components},
         numerics=NUMERICS_VERSION,
+        trust=trust,
     )
     if write:
         store.begin(study, {**described, "planned": found.total})

@@ -55,6 +55,7 @@ __all__ = [
     "AdaptationFactory",
     "Claim",
     "Gradient",
+    "Joint",
     "Robust",
     "claim_of",
     "gradient",
@@ -124,6 +125,38 @@ class Gradient(Adaptation):
 def gradient(theta_hat: Variables, Gamma: ca.SX, steps: int) -> Gradient:
     """The paper's law (19), (55), which needs none of its arguments."""
     return Gradient()
+
+
+@dataclass(frozen=True)
+class Joint(Adaptation):
+    """Two estimates as one: the first `size` elements by one law, the rest by a companion of it."""
+
+    first: Adaptation
+    second: Adaptation
+    size: int
+
+    @property
+    def parameters(self) -> tuple[Parameter, ...]:
+        return (*self.first.parameters, *self.second.parameters)
+
+    def regressor(self, w: ca.SX, z: ca.SX) -> ca.SX:
+        (a, b) = self._parts(w)
+        return ca.vertcat(self.first.regressor(a, z), self.second.regressor(b, z))
+
+    def rate(self, tau: ca.SX) -> ca.SX:
+        (a, b) = self._parts(tau)
+        return ca.vertcat(self.first.rate(a), self.second.rate(b))
+
+    def slope(self, before: ca.SX, after: ca.SX, w: ca.SX) -> ca.SX:
+        pairs = zip(*(self._parts(v) for v in (before, after, w)), strict=True)
+        laws = (self.first, self.second)
+        return ca.vertcat(*(law.slope(*pair) for law, pair in zip(laws, pairs, strict=True)))
+
+    def companion(self, estimate: Variables, gain: ca.SX) -> Adaptation:
+        return self.first.companion(estimate, gain)
+
+    def _parts(self, v: ca.SX) -> tuple[ca.SX, ca.SX]:
+        return v[: self.size], v[self.size :]
 
 
 @dataclass(frozen=True)

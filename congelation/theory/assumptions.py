@@ -91,6 +91,8 @@ def remarks_on(
     degree: int | None,
     place: Callable[[str], str],
     stated: Collection[str] | None = None,
+    *,
+    varying_gain: bool = False,
 ) -> tuple[Remark, ...]:
     """Everything that the theorem of a design does not allow, and what cannot be known.
 
@@ -105,6 +107,8 @@ def remarks_on(
         From ``delta`` or ``theta[2]`` to where the user writes it.
     stated : collection of str, optional
         Names of the parameters that the user gave; None: not known.
+    varying_gain : bool
+        Whether the last element of theta is an input gain b(t), of which only the sign is known.
 
     Returns
     -------
@@ -112,12 +116,15 @@ def remarks_on(
         Broken assumptions first.
     """
     first = 0 if degree is None else degree + 1
+    p = len(theta.low) - varying_gain
     found = [
         *_without_profile(theta, place),
         *_not_known(theta, place),
-        *_radius(values, "delta", _norm(theta.radii[first:]), "theta(t)", place, stated),
-        *_sets(values, theta, first, place),
+        *_radius(values, "delta", _norm(theta.radii[first:p]), "theta(t)", place, stated),
+        *_sets(values, theta, first, p, place),
     ]
+    if varying_gain:
+        found += [*_gain(values, theta, p, place)]
     if degree is not None:
         a_1 = float(theta.radii[first])
         of = f"a_(n-1)(t) = theta[{first + 1}]"
@@ -164,6 +171,8 @@ def _radius(
     stated: Collection[str] | None,
 ) -> Iterator[Remark]:
     """Assumption 1, or 2: delta against the radius of what varies."""
+    if name not in values:  # the law does not ask for it
+        return
     given = float(np.asarray(values[name], float).item())
     outside = not radius <= given * (1.0 + BALL_ROUNDING)
     left_out = stated is not None and name not in stated
@@ -224,19 +233,58 @@ def _numerator(
         )
 
 
+def _gain(
+    values: Mapping[str, ArrayLike], theta: KnownTheta, p: int, place: Callable[[str], str]
+) -> Iterator[Remark]:
+    """b(t), the last element of theta, keeps away from 0 and has the stated sign."""
+    sign = float(np.asarray(values["sign_b"], float).item())
+    start = float(np.asarray(values.get("rho_hat0", 0.0), float).item())
+    if sign * start < 0:
+        yield Remark(
+            place("rho_hat0"),
+            f"{start:.6g} has not the sign of b(t), sign_b = {sign:+.0f}, and the law is proved "
+            "for estimates of that sign",
+            f"give rho_hat0 = 0, or one of the sign {sign:+.0f}",
+            broken=True,
+        )
+    if p in theta.absent or p in theta.unsure:
+        return
+    low, high = theta.low[p], theta.high[p]
+    if low <= 0 <= high:
+        yield Remark(
+            place(f"theta[{p + 1}]"),
+            f"the input gain b(t) is between {low:.6g} and {high:.6g}, and so may be 0, where "
+            "nothing controls the plant (docs/theory.md, 'Varying input gain')",
+            "give a profile that keeps away from 0",
+            broken=True,
+        )
+    elif sign * low < 0:
+        yield Remark(
+            place("sign_b"),
+            f"it is {sign:+.0f}, while b(t) = theta[{p + 1}] is between {low:.6g} and {high:.6g}",
+            f"give sign_b = {-sign:.0f}",
+            broken=True,
+        )
+
+
 def _sets(
-    values: Mapping[str, ArrayLike], theta: KnownTheta, first: int, place: Callable[[str], str]
+    values: Mapping[str, ArrayLike],
+    theta: KnownTheta,
+    first: int,
+    p: int,
+    place: Callable[[str], str],
 ) -> Iterator[Remark]:
     """The sets of projection and switching leakage have to hold ell, and 1/b_m."""
     if len(theta.absent) == len(theta.low):
         return
-    law = claim_of(values, "theta_hat", len(theta.low))
+    law = claim_of(values, "theta_hat", p)
     if not law.leaves_open and law.restricts:
-        center = theta.center
+        center = theta.center[:p]
         ell = law.nearest(center)
-        delta = float(np.asarray(values["delta"], float).item())
+        # Where delta is estimated, a larger one is only a larger estimate.
+        delta = float(np.asarray(values.get("delta", np.inf), float).item())
         off = np.abs(center - ell)
-        reach = _norm((off + theta.radii)[first:])
+        reach = _norm((off + theta.radii[:p])[first:])
         missed = reach > delta * (1 + BALL_ROUNDING) or _norm(off[:first]) > BALL_ROUNDING
         if missed:
             yield _outside(law, center, "the centre of theta(t)", place)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -38,6 +38,9 @@ DECADES = (-4.0, 1.0)
 one of quadratic forms, so that small states show what large ones, where the damping of high order
 dominates, do not."""
 
+LARGEST_GAIN = 10.0
+"""An input gain b(t) is looked at up to this many times inf |b(t)| above it; no bound is needed."""
+
 UNEVEN = 3.0
 """Decades by which single coordinates of a group are smaller, in every other state drawn."""
 
@@ -58,6 +61,13 @@ class PerturbationSet:
         That radius.
     offset : tuple of float
         Centre of theta(t) minus ell, where ell is not that centre; empty: it is.
+    gain : int or None
+        The element that is an input gain b(t). Its ell is the end of the interval of b(t) next to
+        0, and b - ell may be anything of the gain's sign; sizes up to `gain_reach` are looked at.
+    sign : float
+        That of the gain.
+    free_delta : bool
+        Whether the claim holds for any delta, which is then the last element of ell.
     """
 
     delta: float
@@ -65,10 +75,30 @@ class PerturbationSet:
     first: int | None = None
     delta_1: float = math.inf
     offset: tuple[float, ...] = ()
+    gain: int | None = None
+    sign: float = 1.0
+    gain_reach: float = 0.0
+    free_delta: bool = False
 
-    def ell(self, center: Vector) -> Vector:
-        """The congealed parameters for a theta(t) that varies about `center`."""
-        return center - np.array(self.offset) if self.offset else center
+    def ell(self, center: Vector, radii: Vector | None = None) -> Vector:
+        """The congealed parameters for a theta(t) in the box of that centre and those radii."""
+        ell = center - np.array(self.offset) if self.offset else center.copy()
+        spread = np.zeros_like(center) if radii is None else radii
+        if self.gain is not None:
+            ell[self.gain] -= self.sign * spread[self.gain]
+        if self.free_delta:
+            varying = np.where(self.varies, spread, 0.0)
+            ell = np.append(ell, np.linalg.norm(varying))
+        return ell
+
+    def about(self, ell: Vector) -> PerturbationSet:
+        """The set for these congealed parameters."""
+        found = self
+        if self.free_delta:
+            found = replace(found, delta=float(ell[-1]))
+        if self.gain is not None:
+            found = replace(found, gain_reach=LARGEST_GAIN * abs(float(ell[self.gain])))
+        return found
 
     def worst(self, gradient: Vector) -> Vector:
         """The Delta of the set with the largest gradient . Delta."""
@@ -79,6 +109,8 @@ class PerturbationSet:
         g = np.where(self.varies, gradient, 0.0)
         size = float(np.linalg.norm(g))
         Delta = np.zeros_like(g) if size == 0 else self.delta * (g / size)
+        if self.gain is not None and self.sign * gradient[self.gain] > 0:
+            Delta[self.gain] = self.sign * self.gain_reach
         if self.first is None or abs(Delta[self.first]) <= self.delta_1:
             return Delta
         others = g.copy()
@@ -231,7 +263,7 @@ class Certificate:
     ----------
     loop : ClosedLoop
     ell : casadi.SX, shape (p, 1)
-        The congealed parameters.
+        The congealed parameters; then delta, where the claim holds for any.
     V, claimed, residue : casadi.SX, (1, 1)
         In terms of the loop's states and ell; numbers for the parameters.
     perturbations : PerturbationSet
@@ -252,7 +284,9 @@ class Certificate:
 
     def at(self, state: ArrayLike, ell: ArrayLike) -> Margin:
         """The margin at a state of the closed loop, for congealed parameters ell."""
-        return self._margin(self._terms(state, ell))
+        return self._margin(
+            self._terms(state, ell), self.perturbations.about(np.asarray(ell, float))
+        )
 
     def along(self, states: ArrayLike, ell: ArrayLike) -> list[Margin]:
         """The margins along a trajectory, `states` of shape (N, number of states)."""
@@ -333,10 +367,10 @@ class Certificate:
         found = minimize(fall, Y, jac=True, method="L-BFGS-B", options=ASCENT)
         return self._meet(found.x, ell)
 
-    def _margin(self, numbers: Vector) -> Margin:
+    def _margin(self, numbers: Vector, perturbations: PerturbationSet) -> Margin:
         V, claimed, residue, center, size = numbers[:5].tolist()
         gradient = numbers[5:]
-        Delta = self.perturbations.worst(gradient)
+        Delta = perturbations.worst(gradient)
         reach = float(gradient @ Delta)
         scale = size + abs(reach) + abs(claimed) + abs(residue)
         return Margin(V, center + reach, claimed, residue, scale, Delta)
@@ -353,7 +387,8 @@ class Certificate:
         (f,) = self.loop.bind([self.loop.rate])
         terms = ca.jacobian(self.V, X).T * f
         gradient = ca.jacobian(ca.sum1(terms), theta).T
-        center, gradient = ca.substitute([terms, gradient], [theta], [self.ell])
+        constants = self.ell[: theta.numel()]
+        center, gradient = ca.substitute([terms, gradient], [theta], [constants])
         return ca.sum1(center), ca.sum1(ca.fabs(center)), gradient
 
     @cached_property
@@ -368,7 +403,7 @@ class Certificate:
         """The gradient of the excess with respect to the coordinates, Delta held."""
         center, size, gradient = self._rate
         X, _ = self.loop.arguments
-        Delta = ca.SX.sym("Delta", self.ell.numel())
+        Delta = ca.SX.sym("Delta", gradient.numel())
         reach = gradient.T @ Delta
         scale = size + ca.fabs(reach) + ca.fabs(self.claimed) + ca.fabs(self.residue)
         value = center + reach + self.claimed - self.residue

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.integrate import solve_ivp
 
 from congelation.errors import InvalidInput
-from congelation.theory.model import Model, State, Variables
+from congelation.theory.model import Model, Variables
 from congelation.theory.values import complete_values
 
 __all__ = ["ClosedLoop", "Compiled", "Segment", "Solution", "close"]
@@ -21,9 +21,17 @@ Vector = NDArray[np.float64]
 
 
 def close(
-    plant: Model, controller: Model, parameters: Mapping[str, object] | None = None
+    plant: Model,
+    controller: Model,
+    parameters: Mapping[str, object] | None = None,
+    source: Model | None = None,
+    source_parameters: Mapping[str, object] | None = None,
 ) -> ClosedLoop:
     """Connect every output to the input of its name, both ways.
+
+    An input of the controller that holds a value and its derivatives, such as a reference, comes
+    from the source. Without one it is left open and joins the states, each element's rate being
+    the next one and that of the last 0.
 
     Parameters
     ----------
@@ -31,27 +39,58 @@ def close(
         The plant's outputs do not depend on its input, so there is no algebraic loop.
     parameters : mapping, optional
         Parameters of the controller, see `congelation.theory.values.complete_values`.
+    source, source_parameters : Model, mapping, optional
+        A block without inputs, and its parameters.
 
     Raises
     ------
     InvalidInput
         If an input has no output of its name and shape.
     """
-    sensed = _connection(plant, controller)
+    open_inputs = [i.variables for i in controller.inputs if i.variables.first == 0]
+    external = () if source is not None else tuple(open_inputs)
+    names = {v.name for v in open_inputs}
+    sensed = _connection(plant, controller, names)
+    driven: list[tuple[ca.SX, ca.SX]] = []
+    source_rates: list[ca.SX] = []
+    source_outputs: list[ca.SX] = []
+    if source is not None:
+        others = {i.variables.name for i in controller.inputs} - names
+        driven = _connection(source, controller, others)
+        given = complete_values(source, source_parameters)
+        arguments = source.arguments()
+        symbols = [arguments[name] for name in given]
+        numbers = [ca.SX(ca.DM(value)) for value in given.values()]
+        bound = ca.substitute(
+            [
+                *(e for _, e in driven),
+                *(s.rate for s in source.states),
+                *(y.variables.symbol for y in source.outputs),
+            ],
+            symbols,
+            numbers,
+        )
+        ends = len(driven), len(driven) + len(source.states)
+        driven = [(v, e) for (v, _), e in zip(driven, bound, strict=False)]
+        source_rates, source_outputs = bound[ends[0] : ends[1]], bound[ends[1] :]
     control = _connection(controller, plant)
     expressions = [*(s.rate for s in controller.states), *(y for _, y in control)]
     expressions += [o.variables.symbol for o in controller.outputs]
-    expressions = ca.substitute(expressions, [v for v, _ in sensed], [y for _, y in sensed])
+    fed = [*sensed, *driven]
+    expressions = ca.substitute(expressions, [v for v, _ in fed], [y for _, y in fed])
     rates, rest = expressions[: len(controller.states)], expressions[len(controller.states) :]
     inputs, outputs = rest[: len(control)], rest[len(control) :]
     plant_rates = ca.substitute([s.rate for s in plant.states], [v for v, _ in control], inputs)
     plant_outputs = [o.variables.symbol for o in plant.outputs]
+    chains = [ca.vertcat(v.symbol[1:], 0) for v in external]
     return ClosedLoop(
         plant=plant,
         controller=controller,
         values=complete_values(controller, parameters),
-        rate=_stack([*plant_rates, *rates]),
-        output=_stack([*plant_outputs, *outputs]),
+        rate=_stack([*plant_rates, *rates, *source_rates, *chains]),
+        output=_stack([*plant_outputs, *outputs, *source_outputs]),
+        external=external,
+        source=source,
     )
 
 
@@ -102,6 +141,10 @@ class ClosedLoop:
     ----------
     values : mapping
         The parameters and gains of the controller.
+    external : tuple of Variables
+        Open inputs of the controller, a value and its derivatives each; last in X.
+    source : Model or None
+        What drives them instead; its states are last in X, its signals and time last in theta.
     rate, output : casadi.SX
         Columns: f, and the outputs of the plant, then those of the controller.
     """
@@ -111,11 +154,14 @@ class ClosedLoop:
     values: Mapping[str, Vector]
     rate: ca.SX
     output: ca.SX
+    external: tuple[Variables, ...] = ()
+    source: Model | None = None
 
     @property
     def state_names(self) -> tuple[str, ...]:
         """``plant.x[1]``, .., ``controller.theta_hat[1]``, .. ."""
-        return self._names(lambda model: [s.variables for s in model.states])
+        own = self._names(lambda model: [s.variables for s in model.states])
+        return own + tuple(f"controller.{name}" for v in self.external for name in v.names)
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -125,12 +171,13 @@ class ClosedLoop:
     def start(self, given: Mapping[str, ArrayLike] | None = None) -> Vector:
         """The start values of X, from the models' own where not `given` by name (``x``, ..)."""
         given = dict(given or {})
-        states = [*self.plant.states, *self.controller.states]
-        unknown = set(given) - {s.variables.name for s in states}
+        states = [s for _, model in self._sides for s in model.states]
+        starts = [(s.variables, s.start) for s in states]
+        starts += [(v, (0.0,) * len(v.names)) for v in self.external]
+        unknown = set(given) - {v.name for v, _ in starts}
         if unknown:
             raise InvalidInput(f"no state is called '{min(unknown)}'")
-        columns = [_start(s, given.get(s.variables.name, s.start)) for s in states]
-        return np.concatenate(columns)
+        return np.concatenate([_start(v, given.get(v.name, start)) for v, start in starts])
 
     @cached_property
     def function(self) -> Compiled:
@@ -145,8 +192,12 @@ class ClosedLoop:
     @property
     def arguments(self) -> tuple[ca.SX, ca.SX]:
         """The columns X and theta that every expression is a function of."""
-        states = [s.variables.symbol for s in (*self.plant.states, *self.controller.states)]
+        states = [s.variables.symbol for _, model in self._sides for s in model.states]
+        states += [v.symbol for v in self.external]
         theta = ca.SX(0, 1) if self.plant.theta is None else self.plant.theta.symbol
+        if self.source is not None and self.source.signals is not None:
+            signals = self.source.signals
+            theta = ca.vertcat(theta, signals.variables.symbol, signals.time)
         return _stack(states), theta
 
     def bind(self, expressions: Sequence[ca.SX]) -> list[ca.SX]:
@@ -226,10 +277,18 @@ class ClosedLoop:
         return Solution(wanted[: len(rows)], states, np.reshape(outputs, shape), success, message)
 
     def _names(self, variables: Callable[[Model], Sequence[Variables]]) -> tuple[str, ...]:
-        sides = (("plant", self.plant), ("controller", self.controller))
         return tuple(
-            f"{side}.{name}" for side, model in sides for v in variables(model) for name in v.names
+            f"{side}.{name}"
+            for side, model in self._sides
+            for v in variables(model)
+            for name in v.names
         )
+
+    @property
+    def _sides(self) -> list[tuple[str, Model]]:
+        """The blocks in the order in which X holds their states."""
+        sides = [("plant", self.plant), ("controller", self.controller)]
+        return sides if self.source is None else [*sides, ("source", self.source)]
 
 
 class Compiled:
@@ -264,26 +323,36 @@ class Compiled:
         return self._result.copy()
 
 
-def _connection(source: Model, target: Model) -> list[tuple[ca.SX, ca.SX]]:
-    """(input symbol, output expression) for every input of `target`."""
+def _connection(
+    source: Model, target: Model, apart: Collection[str] = ()
+) -> list[tuple[ca.SX, ca.SX]]:
+    """(input symbol, output expression) for every input of `target`, but those `apart`."""
     outputs = {y.variables.name: y.variables for y in source.outputs}
     pairs = []
     for entry in target.inputs:
         name = entry.variables.name
+        if name in apart:
+            continue
+        rows = entry.variables.shape[0]
+        # Of a value and its derivatives, a source may have more than are asked for.
+        more = name in outputs and outputs[name].first == 0 and outputs[name].shape[0] > rows
+        if more:
+            pairs.append((entry.variables.symbol, outputs[name].symbol[:rows]))
+            continue
         if name not in outputs or outputs[name].shape != entry.variables.shape:
             raise InvalidInput(
-                f"{target.name} wants '{name}' of {entry.variables.shape[0]} elements, which "
+                f"{target.name} wants '{name}' of {rows} elements, which "
                 f"{source.name} does not put out; close a plant with the controller of its form"
             )
         pairs.append((entry.variables.symbol, outputs[name].symbol))
     return pairs
 
 
-def _start(state: State, value: ArrayLike) -> Vector:
+def _start(variables: Variables, value: ArrayLike) -> Vector:
     column = np.asarray(value, dtype=float).ravel()
-    size = len(state.variables.names)
+    size = len(variables.names)
     if column.size != size:
-        raise InvalidInput(f"{state.variables.name} has {column.size} elements; valid: {size}")
+        raise InvalidInput(f"{variables.name} has {column.size} elements; valid: {size}")
     return column
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -56,40 +57,81 @@ def matched_certificate(loop: ClosedLoop) -> Certificate:
 def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
     """V = |z|^2/2 + (ell - theta_hat)^T Gamma^-1 (ell - theta_hat)/2, V' <= -sum c_i z_i^2 (23).
 
+    A varying gain adds |ell_b| (1/ell_b - rho_hat)^2/(2 gamma) to V, ell_b = sign_b inf |b(t)|,
+    and halves c_1 .. c_{n-1}; an unknown radius adds (D - D_hat)^2/(2 gamma_D) to V, where
+    D = epsilon^2 delta^2/2; a reference leaves epsilon_r^2 delta^2 |Y|^2/2 of V', Y = [y_r; ..]
+    up to order n - 1, and with a varying gain epsilon_b^2 |Y|^2/2, Y up to order n.
+
     Of first order, V' holds (phibar . Delta) z^2, so that Controller 2 is certified with an extreme
     ell, for which that product is never positive.
     """
-    z, ell, values = loop.bound_signal("controller.z"), _congealed(loop), loop.values
-    x, theta_hat = _state(loop, "x"), _state(loop, "theta_hat")
+    values = loop.values
+    _, theta = loop.arguments
+    names = [s.variables.name for s in loop.controller.states]
+    z, x, theta_hat = (
+        loop.bound_signal("controller.z"),
+        _state(loop, "x"),
+        _state(loop, "theta_hat"),
+    )
     n, p = x.numel(), theta_hat.numel()
-    V = ca.sumsqr(z) / 2 + _estimation(loop, ell, values["Gamma"]) / 2
-    claimed = ca.sum1(ca.DM(values["c"]) * z**2)
+    known = "delta" in values
+    ell = ca.SX.sym("ell", theta.numel() + (0 if known else 1))
+    delta = ca.SX(values["delta"].item()) if known else ell[-1]
+    law = claim_of(values, "theta_hat", p)
+    difference = ell[:p] - theta_hat
+    V = ca.sumsqr(z) / 2 + _quadratic(_inverse(values["Gamma"]), difference) / 2
+    rate = np.array(values["c"], dtype=float).ravel()
+    claimed, residue = law.decay(ell[:p], theta_hat), law.residue(ell[:p])
+    drawn = {"z": n, "error": p}
+    if not known:
+        drawn["D_error"] = 1
+    if "rho_hat" in names:
+        drawn["root"] = 1
+    drawn |= {v.name: v.symbol.numel() for v in loop.external}
+    free = {name: ca.SX.sym(name, size) for name, size in drawn.items()}
+    solved = {"theta_hat": ell[:p] + free["error"]}
 
-    drawn_z, error = ca.SX.sym("z", n), ca.SX.sym("error", p)
+    perturbations, sample = _ball(loop), _within(law)
+    if not known:
+        D, D_law = values["epsilon"].item() ** 2 * delta**2 / 2, claim_of(values, "D_hat", 1)
+        D_hat = _state(loop, "D_hat")
+        V += (D - D_hat) ** 2 / (2 * values["gamma_D"].item())
+        claimed += D_law.decay(D, D_hat)
+        residue += D_law.residue(D)
+        solved["D_hat"] = D + free["D_error"]
+        sample = _with_radius(sample, D_law, values["epsilon"].item())
+    if "rho_hat" in names:
+        sign, ell_b, rho_hat = values["sign_b"].item(), ell[p], _state(loop, "rho_hat")
+        rho_law = claim_of(values, "rho_hat", 1)
+        rate[:-1] /= 2
+        V += sign * ell_b * (1 / ell_b - rho_hat) ** 2 / (2 * values["gamma"].item())
+        claimed += sign * ell_b * rho_law.decay(1 / ell_b, rho_hat)
+        residue += sign * ell_b * rho_law.residue(1 / ell_b)
+        solved["rho_hat"] = sign * free["root"] ** 2  # sign_b rho_hat >= 0 for ever
+        perturbations = replace(perturbations, varies=(True,) * p + (False,), gain=p, sign=sign)
+        sample = _with_gain(sample, p, rho_law, sign)
+    for v in loop.external:
+        yr = v.symbol
+        residue += values["epsilon_r"].item() ** 2 * delta**2 * ca.sumsqr(yr[:n]) / 2
+        if "epsilon_b" in values:
+            residue += values["epsilon_b"].item() ** 2 * ca.sumsqr(yr) / 2
+        solved[v.name] = free[v.name]
+    claimed += ca.sum1(ca.DM(rate) * z**2)
+
+    symbols = [_state(loop, name) for name in solved if name in names]
+    symbols += [v.symbol for v in loop.external]
     rows = ca.SX.zeros(n)
     for i in range(n):  # (12): z_i holds x_i with coefficient 1, and no x_j beyond
-        (rest,) = ca.substitute([z[i]], [x, theta_hat], [rows, ell + error])
-        rows[i] = drawn_z[i] - rest
-    X = _stacked(loop, {"x": rows, "theta_hat": ell + error})
-    coordinates = Coordinates(ca.vertcat(drawn_z, error), X, (n, p))
+        (rest,) = ca.substitute([z[i]], [x, *symbols], [rows, *solved.values()])
+        rows[i] = free["z"][i] - rest
+    X = _stacked(loop, {"x": rows, **solved})
+    coordinates = Coordinates(ca.vertcat(*free.values()), X, tuple(drawn.values()))
 
-    first_order = None
-    if n == 1:
-        _, theta = loop.arguments
-        (rate,) = loop.bind([loop.rate[0]])
-        (slope,) = ca.substitute([ca.jacobian(rate, theta)], [x], [1])  # phibar_{1,1}
-        first_order = np.asarray(ca.DM(slope)).ravel()
-    law = claim_of(values, "theta_hat", p)
-    return Certificate(
-        loop,
-        ell,
-        V,
-        claimed + law.decay(ell, theta_hat),
-        law.residue(ell),
-        _ball(loop, first_order),
-        _within(law),
-        coordinates,
-    )
+    if n == 1 and names == ["theta_hat"] and not loop.external:
+        (slope_of_x,) = loop.bind([loop.rate[0]])
+        (slope,) = ca.substitute([ca.jacobian(slope_of_x, theta)], [x], [1])  # phibar_{1,1}
+        perturbations = _ball(loop, np.asarray(ca.DM(slope)).ravel())
+    return Certificate(loop, ell, V, claimed, residue, perturbations, sample, coordinates)
 
 
 def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
@@ -109,13 +151,22 @@ def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
     xi, Omega_T = _filter_signals(loop, m)
     V_x_tilde, g = _estimation_error_function(values, n - m)
 
-    delta, delta_1 = values["delta"].item(), values["delta_1"].item()
-    corrected = bool(values["corrected"].item()) and delta > 0
-    weight = float(np.sum(1 / (4 * values["d"])))
-    weight *= 1 + delta_1 / (g * delta) if corrected else 1
+    known, sum_d = "delta" in values, float(np.sum(1 / (4 * values["d"])))
+    constants, delta, delta_1 = ell, 0.0, math.inf
     offset: tuple[float, ...] = ()
-    if n == 1 and _free_ell(loop):
-        weight, offset = 0.0, (0.0, min(delta, delta_1))
+    if known:
+        delta, delta_1 = values["delta"].item(), values["delta_1"].item()
+        corrected = bool(values["corrected"].item()) and delta > 0
+        weight = sum_d * (1 + delta_1 / (g * delta) if corrected else 1)
+        needed = ca.SX(sum_d * (g * delta + delta_1) ** 2)
+        if n == 1 and _free_ell(loop) and not loop.external:
+            weight, offset = 0.0, (0.0, min(delta, delta_1))
+    else:  # any delta, and delta_1 up to that
+        constants = ca.vertcat(ell, ca.SX.sym("delta"))
+        weight, needed = sum_d * (1 + 1 / g), sum_d * ((g + 1) * constants[-1]) ** 2
+    q = values["q"].item() if "q" in values else 1.0
+    if loop.external:
+        needed *= 1 + q  # y^2 <= (1 + q) z_1^2 + (1 + 1/q) y_r^2
     sign = values["sign_b_m"].item()
     V = (
         ca.sumsqr(z) / 2
@@ -127,32 +178,57 @@ def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
     law, rho_law = claim_of(values, "theta_hat", m + 1 + n), claim_of(values, "rho_hat", 1)
     claimed = ca.sum1(ca.DM(values["c"]) * z**2) + law.decay(ell, theta_hat)
     claimed += sign * ell[0] * rho_law.decay(1 / ell[0], rho_hat)
+    residue = law.residue(ell) + sign * ell[0] * rho_law.residue(1 / ell[0])
+    sample, extra = _with_inverse(law, rho_law, sign), {}
+    others = [v.symbol for v in loop.external]
+    if not known:
+        D_hat, D_law = _state(loop, "D_hat"), claim_of(values, "D_hat", 1)
+        V += (needed - D_hat) ** 2 / (2 * values["gamma_D"].item())
+        claimed += D_law.decay(needed, D_hat)
+        residue += D_law.residue(needed)
+        others.append(D_hat)
+        scale = math.sqrt(2 * sum_d * (1 + q if loop.external else 1)) * (g + 1)
+        sample = _with_radius(sample, D_law, scale)
+    for v in loop.external:
+        residue += needed / q * v.symbol[0] ** 2
+        extra[v.name] = v.symbol.numel()
 
     # Drawn are z, x_tilde, the errors of the estimates, eta and lambda_1 .. lambda_m. Row 1 of
     # x = xi + Omega^T ell + x_tilde holds lambda_{m+1} with coefficient b_m, and z_i, i >= 2, holds
     # lambda_{m+i} with coefficient 1, (46): they give the rest of lambda one by one, then x.
     drawn = {"z": n - m, "x_tilde": n, "error": m + 1 + n, "rho_error": 1, "eta": n, "lambda": m}
+    drawn |= extra if known else {**extra, "D_error": 1}
     free = {name: ca.SX.sym(name, size) for name, size in drawn.items()}
     estimates = [ell + free["error"], 1 / ell[0] + free["rho_error"]]
     full = ca.vertcat(free["lambda"], ca.SX.zeros(n - m))
     state = xi + Omega_T @ ell + free["x_tilde"]
+    solved = {v.name: free[v.name] for v in loop.external}
+    if not known:
+        solved["D_hat"] = needed + free["D_error"]
+    y = free["z"][0] + (free["yr"][0] if loop.external else 0)  # (45)
     for i in range(n - m):
-        known = [ca.vertcat(free["z"][0], ca.SX.zeros(n - 1)), *estimates, free["eta"], full]
-        unsolved = state[0] - free["z"][0] if i == 0 else z[i]
-        (rest,) = ca.substitute([unsolved], [x, theta_hat, rho_hat, eta, lambda_], known)
+        given = [ca.vertcat(y, ca.SX.zeros(n - 1)), *estimates, free["eta"], full]
+        unsolved = state[0] - y if i == 0 else z[i]
+        (rest,) = ca.substitute(
+            [unsolved],
+            [x, theta_hat, rho_hat, eta, lambda_, *others],
+            [*given, *solved.values()],
+        )
         full[m + i] = -rest / ell[0] if i == 0 else free["z"][i] - rest
     (state,) = ca.substitute([state], [eta, lambda_], [free["eta"], full])
-    state[0] = free["z"][0]  # y = z_1, to the bit
+    state[0] = y  # to the bit
     drawn_states = [state, *estimates, free["eta"], full]
-    X = _stacked(loop, dict(zip(names, drawn_states, strict=True)))
+    X = _stacked(loop, dict(zip(names, drawn_states, strict=True)) | solved)
     return Certificate(
         loop,
-        ell,
+        constants,
         V,
         claimed,
-        law.residue(ell) + sign * ell[0] * rho_law.residue(1 / ell[0]),
-        PerturbationSet(delta, varies, first=m + 1, delta_1=delta_1, offset=offset),
-        _with_inverse(law, rho_law, sign),
+        residue,
+        PerturbationSet(
+            delta, varies, first=m + 1, delta_1=delta_1, offset=offset, free_delta=not known
+        ),
+        sample,
         Coordinates(ca.vertcat(*free.values()), X, tuple(drawn.values())),
     )
 
@@ -228,6 +304,7 @@ def _of_x(
 def _stacked(loop: ClosedLoop, values: Mapping[str, ca.SX]) -> ca.SX:
     """The states of the loop in its order, from expressions by name."""
     states = [s.variables.name for s in (*loop.plant.states, *loop.controller.states)]
+    states += [v.name for v in loop.external]
     return ca.densify(ca.vertcat(*(values[name] for name in states)))
 
 
@@ -261,11 +338,12 @@ def _ball(loop: ClosedLoop, first_order: Matrix | None = None) -> PerturbationSe
     this product is never positive: center + delta first_order/|first_order|.
     """
     _, theta = loop.arguments
-    delta = loop.values["delta"].item()
+    delta = loop.values["delta"].item() if "delta" in loop.values else 0.0
+    free = "delta" not in loop.values
     offset: tuple[float, ...] = ()
     if first_order is not None and first_order.any() and _free_ell(loop):
         offset = tuple(-delta * first_order / np.linalg.norm(first_order))
-    return PerturbationSet(delta, (True,) * theta.numel(), offset=offset)
+    return PerturbationSet(delta, (True,) * theta.numel(), offset=offset, free_delta=free)
 
 
 def _free_ell(loop: ClosedLoop) -> bool:
@@ -286,6 +364,32 @@ def _within(law: Claim) -> Sampler:
         return law.nearest(law.center + generator.uniform(-1, 1, size) * reach)
 
     return sample
+
+
+def _with_radius(sample: Sampler, law: Claim, epsilon: float) -> Sampler:
+    """Random ell and delta, the latter of any size for which D is in its law's set."""
+
+    def with_radius(generator: np.random.Generator) -> Matrix:
+        ell = sample(generator)
+        D = law.nearest(np.array([(epsilon * 10 ** generator.uniform(-1, 1)) ** 2 / 2]))
+        return np.append(ell, math.sqrt(2 * max(D.item(), 0.0)) / epsilon)
+
+    return with_radius
+
+
+def _with_gain(sample: Sampler, place: int, law: Claim, sign: float) -> Sampler:
+    """Random ell with ell_b at `place`, of the known sign, and 1/ell_b in its law's set."""
+
+    def with_gain(generator: np.random.Generator) -> Matrix:
+        inverse = law.nearest(np.array([sign * 10 ** generator.uniform(-1, 1)])).item()
+        if not inverse * sign > 0:
+            raise InvalidInput(
+                "no gain of the sign sign_b has its inverse in the set of rho_center; give a set "
+                "that holds 1/b"
+            )
+        return np.insert(sample(generator), place, 1 / inverse)
+
+    return with_gain
 
 
 def _with_inverse(law: Claim, rho_law: Claim, sign: float) -> Sampler:

@@ -1,19 +1,42 @@
-"""Plants in parametric strict-feedback form (9)."""
+"""Plants in parametric strict-feedback form (9), linear and nonlinear."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from congelation.errors import InvalidInput
+from congelation.theory.expressions import parse
 from congelation.theory.gains import upper_shift
 from congelation.theory.model import Input, Model, Output, State, scalar, vector
 
-__all__ = ["SYSTEM_60", "checked_phibar", "regressors", "strict_feedback_plant"]
+__all__ = [
+    "SYSTEM_60",
+    "Linear",
+    "Nonlinear",
+    "Regressors",
+    "checked_phibar",
+    "hadamard_defect",
+    "regressors_of",
+    "strict_feedback_plant",
+]
 
 SYSTEM_60 = (((-1.0, 0.0), (0.0, 0.0)), ((0.0, -1.0), (0.0, 0.0)))
 """phibar of the system (60) of Sec. V: x_1' = -theta_1 x_1 + x_2, x_2' = -theta_2 x_1 + u."""
+
+NODES = (2, 4, 8, 12, 16, 24, 32, 48)
+"""Numbers of Gauss-Legendre nodes of the Hadamard factor, of which the least that does is taken: N
+are exact for polynomials phi_i of degree 2 N, and more make the law longer."""
+
+LARGEST_DEFECT = 1e-9
+"""What phi_i - sum_j phibar_{i,j} x_j may amount to, relative to phi_i: it adds |z_i e_i| delta to
+V', which then stays within the rounding that the certificate allows."""
+
+REACH = 3.0
+"""The defect is checked at random states whose elements are of this size and less."""
 
 
 def checked_phibar(phibar: ArrayLike) -> NDArray[np.float64]:
@@ -39,30 +62,180 @@ def checked_phibar(phibar: ArrayLike) -> NDArray[np.float64]:
     return array
 
 
-def regressors(phibar: NDArray[np.float64], x: ca.SX) -> list[ca.SX]:
-    """phi_1(x_1) .. phi_n(x), each of shape (p, 1): phi_i = sum_{j<=i} phibar_{i,j} x_j, (10)."""
-    return [ca.DM(row[: i + 1].T) @ x[: i + 1] for i, row in enumerate(phibar)]
+@dataclass(frozen=True)
+class Linear:
+    """phi_i = sum_{j<=i} phibar_{i,j} x_j, (10).
+
+    Attributes
+    ----------
+    phibar : ndarray, shape (n, n, p)
+        See `checked_phibar`.
+    """
+
+    phibar: NDArray[np.float64]
+
+    @property
+    def orders(self) -> tuple[int, int]:
+        """(n, p)."""
+        n, _, p = self.phibar.shape
+        return n, p
+
+    def at(self, x: ca.SX) -> tuple[ca.SX, ...]:
+        """phi_1(x_1) .. phi_n(x), each of shape (p, 1)."""
+        return tuple(factor @ x[: factor.shape[1]] for factor in self.factors(x))
+
+    def factors(self, x: ca.SX) -> tuple[ca.SX | ca.DM, ...]:
+        """[phibar_{i,1} .. phibar_{i,i}] for each i, of shape (p, i)."""
+        return tuple(ca.DM(row[: i + 1].T) for i, row in enumerate(self.phibar))
 
 
-def strict_feedback_plant(phibar: ArrayLike = SYSTEM_60) -> Model:
+@dataclass(frozen=True)
+class Nonlinear:
+    """phi_i(x_1 .. x_i) smooth, with phi_i(0) = 0.
+
+    Its factors are those of Hadamard's lemma, phibar_{i,j} = int_0^1 (d phi_i/d x_j)(s x) ds, for
+    which phi_i(x) = sum_j phibar_{i,j}(x) x_j: a factor for the recursion as constant ones are.
+
+    Parameters
+    ----------
+    phi : tuple of tuple of str, n of p
+        Expressions in ``x[1]`` .. ``x[i]``, see `congelation.theory.expressions.parse`.
+    nodes : int
+        Of the quadrature; `regressors_of` finds the number.
+    """
+
+    phi: tuple[tuple[str, ...], ...]
+    nodes: int = NODES[-1]
+
+    @property
+    def orders(self) -> tuple[int, int]:
+        """(n, p)."""
+        return len(self.phi), len(self.phi[0])
+
+    def at(self, x: ca.SX) -> tuple[ca.SX, ...]:
+        """phi_1(x_1) .. phi_n(x), each of shape (p, 1)."""
+        return tuple(
+            ca.vertcat(*(parse(text, x, i) for text in row))
+            for i, row in enumerate(self.phi, start=1)
+        )
+
+    def factors(self, x: ca.SX) -> tuple[ca.SX | ca.DM, ...]:
+        """[phibar_{i,1} .. phibar_{i,i}] for each i, by Gauss-Legendre quadrature."""
+        _, p = self.orders
+        nodes, weights = np.polynomial.legendre.leggauss(self.nodes)
+        factors: list[ca.SX | ca.DM] = []
+        for i, phi in enumerate(self.at(x), start=1):
+            slope = ca.jacobian(phi, x)[:, :i]
+            function = ca.Function("slope", [x], [slope])
+            mean = ca.SX(phi.numel(), i)
+            for node, weight in zip((nodes + 1) / 2, weights / 2, strict=True):
+                mean += weight * function(node * x)
+            # A slope that is constant is its own mean, without the rounding of the sum.
+            for k in range(p):
+                for j in range(i):
+                    if not ca.depends_on(slope[k, j], x):
+                        mean[k, j] = slope[k, j]
+            factors.append(mean)
+        return tuple(factors)
+
+
+Regressors = Linear | Nonlinear
+
+
+def regressors_of(structure: ArrayLike | Regressors) -> Regressors:
+    """The regressors of a plant: themselves, or those of the array phibar; checked.
+
+    Raises
+    ------
+    InvalidInput
+        An array that is no phibar; expressions that are not as many in each row, that are not 0 at
+        x = 0, or whose Hadamard factor misses them by more than `LARGEST_DEFECT`.
+    """
+    if isinstance(structure, Linear):
+        return structure
+    if not isinstance(structure, Nonlinear):
+        return Linear(checked_phibar(structure))
+    n, _ = structure.orders
+    x = ca.SX.sym("x", n)
+    for i, phi in enumerate(structure.at(x), start=1):
+        values, slopes = (
+            np.asarray(ca.DM(v)).reshape(phi.numel(), -1)
+            for v in ca.substitute([phi, ca.densify(ca.jacobian(phi, x))], [x], [ca.SX.zeros(n)])
+        )
+        for text, value, slope in zip(structure.phi[i - 1], values, slopes, strict=True):
+            if not abs(value.item()) <= 0:
+                raise InvalidInput(
+                    f"phi_{i} = {text} is {value.item():.6g} at x = 0; valid: 0 there, so that "
+                    "x = 0 can be kept without knowing theta (docs/theory.md, 'Nonlinear "
+                    "regressors')"
+                )
+            # CasADi makes |x_1| of sqrt(x[1]**2), and gives it the slope 0 at 0.
+            if not np.isfinite(slope).all() or "fabs" in str(phi):
+                raise InvalidInput(
+                    f"phi_{i} = {text} has no derivative at x = 0; the recursion differentiates "
+                    "it: give a smooth function (docs/theory.md, 'Nonlinear regressors')"
+                )
+    for nodes in NODES:
+        structure = replace(structure, nodes=nodes)
+        i, defect = hadamard_defect(structure)
+        if defect <= LARGEST_DEFECT:
+            return structure
+    raise InvalidInput(
+        f"phi_{i} misses its Hadamard factor by {defect:.2g} of its size for |x_j| <= {REACH:g}; "
+        f"valid: {LARGEST_DEFECT:g} at most, as the certificate rests on it: give functions that "
+        "are smoother there (docs/theory.md, 'Nonlinear regressors')"
+    )
+
+
+def hadamard_defect(regressors: Nonlinear) -> tuple[int, float]:
+    """The row i with the largest |phi_i - sum_j phibar_{i,j} x_j| / (1 + |phi_i|), and that ratio.
+
+    The largest at 200 random x with |x_j| <= `REACH`, nan where something is not finite.
+    """
+    n, _ = regressors.orders
+    x = ca.SX.sym("x", n)
+    phi = regressors.at(x)
+    factors = regressors.factors(x)
+    size = [ca.norm_inf(v) for v in phi]
+    error = [
+        ca.norm_inf(v - factor @ x[: factor.shape[1]]) / (1 + s)
+        for v, factor, s in zip(phi, factors, size, strict=True)
+    ]
+    function = ca.Function("defect", [x], [ca.vertcat(*error)])
+    drawn = np.random.default_rng(0).uniform(-REACH, REACH, (200, n))
+    found = np.array([np.asarray(function(row)).ravel() for row in drawn]).max(axis=0)
+    worst = int(np.argmax(np.where(np.isfinite(found), found, np.inf)))
+    return worst + 1, float(found[worst])
+
+
+def strict_feedback_plant(
+    phibar: ArrayLike | Regressors = SYSTEM_60, varying_gain: bool = False
+) -> Model:
     """The plant (9), x' = S x + Phi^T(x) theta + e_n u, for any n and p.
 
     Parameters
     ----------
-    phibar : array_like, shape (n, n, p)
-        See `checked_phibar`.
+    phibar : array_like, shape (n, n, p), or Regressors
+        See `regressors_of`.
+    varying_gain : bool
+        With the input gain b(t), x_n' = b(t) u + .., which is then the last element of theta.
     """
-    checked = checked_phibar(phibar)
-    n, _, p = checked.shape
+    regressors = regressors_of(phibar)
+    n, p = regressors.orders
     x = vector("x", n, "State x of (9)")
     u = scalar("u", "Input u of (9)")
     theta = vector("theta", p, "Unknown parameters theta(t) of (9)")
-    Phi = ca.horzcat(*regressors(checked, x.symbol))
+    gain = ca.SX(1)
+    if varying_gain:
+        theta = vector("theta", p + 1, "Unknown parameters theta(t) of (9), then the gain b(t)")
+        gain = theta.symbol[p]
+    Phi = ca.horzcat(*regressors.at(x.symbol))
     e_n = ca.DM(np.eye(n)[:, -1:])
-    rate = ca.DM(upper_shift(n)) @ x.symbol + Phi.T @ theta.symbol + e_n @ u.symbol
+    rate = ca.DM(upper_shift(n)) @ x.symbol + Phi.T @ theta.symbol[:p] + e_n @ (gain * u.symbol)
+    about = "with the input gain b(t), " if varying_gain else ""
     return Model(
         name="StrictFeedbackPlant",
-        description=f"Plant (9) in parametric strict-feedback form, n = {n}, p = {p}",
+        description=f"Plant (9) in parametric strict-feedback form, {about}n = {n}, p = {p}",
         inputs=(Input.of(u),),
         states=(State(x, rate, start=(1.0,) + (0.0,) * (n - 1)),),
         parameters=(),

@@ -10,6 +10,7 @@ from typing import Any, cast
 
 from congelation.cosim.system import Component
 from congelation.export.assumptions import degree_of, known_theta
+from congelation.export.forms import fit
 from congelation.scenario.scenario import Case
 from congelation.theory.assumptions import Remark, remarks_on
 from congelation.verify.reference import start_values_of, theta_of
@@ -40,7 +41,7 @@ def loops_of(case: Case) -> list[tuple[Component, Component]]:
         for controller in case.system.components
         if about[plant.name].get("role") == "plant"
         and about[controller.name].get("role") == "controller"
-        and all(about[plant.name][k] == about[controller.name][k] for k in ("form", "structure"))
+        and fit(about[plant.name], about[controller.name])
         and (controller.name, f"{plant.name}.u") in drives
     ]
 
@@ -78,6 +79,7 @@ def _of_loop(plant: Component, controller: Component, driven: set[str]) -> tuple
         known_theta(profiles, offsets, absent, inputs),
         degree_of(about["form"], about["structure"]),
         place,
+        varying_gain=about["structure"].get("gain") == "varying",
     )
 
 

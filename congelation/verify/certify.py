@@ -9,6 +9,7 @@ looked at first, because the inequality does not show it.
 from __future__ import annotations
 
 import enum
+import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from congelation.errors import InvalidInput
-from congelation.export.assumptions import degree_of, spec_assumptions
+from congelation.export.assumptions import spec_assumptions
 from congelation.export.spec import Spec, read_spec
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Case, Scenario
@@ -32,6 +33,7 @@ from congelation.theory.lyapunov import (
     scalar_certificate,
     state_feedback_certificate,
 )
+from congelation.theory.saturation import Level, largest_level
 from congelation.verify.assumptions import case_assumptions, loops_of
 from congelation.verify.reference import reference
 
@@ -80,12 +82,19 @@ class Design:
         Of the box that theta(t) fills; in output feedback of the box of a(t).
     remarks : tuple of Remark
         The assumptions that it breaks, and what cannot be known of them.
+    center, half : tuple of float
+        Centre and half the sides of the box that theta(t) fills.
+    start : tuple of float
+        Start values of the loop's states.
     """
 
     name: str
     loop: ClosedLoop
     radius: float
     remarks: tuple[Remark, ...] = ()
+    center: tuple[float, ...] = ()
+    half: tuple[float, ...] = ()
+    start: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, repr=False)
@@ -101,12 +110,18 @@ class Certification:
     finding : Finding or None
         The worst state that the search met; None where there was nothing to search, or where no
         state had a finite margin.
+    level : Level or None
+        Of a design that holds and was asked for limits of its control: the largest level set of V
+        on which it stays within them; None where there is none, which `unlevelled` explains.
+    unlevelled : str
     """
 
     design: Design
     verdict: Verdict
     reasons: tuple[str, ...]
     finding: Finding | None = None
+    level: Level | None = None
+    unlevelled: str = ""
 
     def __repr__(self) -> str:
         """The verdict and its reasons; the design itself would fill pages."""
@@ -116,9 +131,10 @@ class Certification:
         return "\n".join(lines)
 
     @property
-    def delta(self) -> float:
-        """The radius that the design is made for."""
-        return float(self.design.loop.values["delta"].item())
+    def delta(self) -> float | None:
+        """The radius that the design is made for; None: for any."""
+        values = self.design.loop.values
+        return float(values["delta"].item()) if "delta" in values else None
 
     @property
     def holds(self) -> bool:
@@ -142,7 +158,11 @@ def certificate_of(loop: ClosedLoop) -> Certificate:
 
 
 def certify(
-    what: Path | str | Spec | Scenario, *, samples: int = 1000, seed: int = 0
+    what: Path | str | Spec | Scenario,
+    *,
+    samples: int = 1000,
+    seed: int = 0,
+    umax: float | None = None,
 ) -> tuple[Certification, ...]:
     """Check the assumptions of designs, and search for states where V' exceeds its promise.
 
@@ -154,6 +174,10 @@ def certify(
         Random states to try, before local ascents from the worst of them.
     seed : int
         Of the random states.
+    umax : float, optional
+        Largest |u| of a saturated control, in the unit of u: for each design that holds, the
+        largest level set of V in which it never saturates is looked for, see
+        `congelation.theory.saturation`.
 
     Returns
     -------
@@ -171,7 +195,27 @@ def certify(
     >>> found.verdict.name
     'HOLDS'
     """
-    return tuple(certify_design(design, samples, seed) for design in designs_of(what))
+    if umax is not None and not 0.0 < umax < math.inf:
+        raise InvalidInput(f"umax = {umax!r} is not valid; give a positive number")
+    found = [certify_design(design, samples, seed) for design in designs_of(what)]
+    if umax is None:
+        return tuple(found)
+    return tuple(_with_level(one, umax, seed) if one.holds else one for one in found)
+
+
+def _with_level(found: Certification, umax: float, seed: int) -> Certification:
+    """What was found of a design that holds, and its level set within the limits of the control."""
+    design = found.design
+    center, half = np.array(design.center), np.array(design.half)
+    if not np.isfinite([*center, *half]).all():
+        return replace(found, unlevelled="theta(t) has no bounds, which say what ell is")
+    certificate = certificate_of(design.loop)
+    ell = certificate.perturbations.ell(center, half)
+    try:
+        level = largest_level(certificate, umax, ell, design.start, seed)
+    except InvalidInput as error:
+        return replace(found, unlevelled=str(error))
+    return replace(found, level=level)
 
 
 def certify_design(design: Design, samples: int = 1000, seed: int = 0) -> Certification:
@@ -249,8 +293,16 @@ def _is_spec(file: Path) -> bool:
 def _of_spec(spec: Spec) -> list[Design]:
     loop = close(spec.plant.model, spec.controller.model, spec.controller.model.defaults())
     profiles = [slots.profile for slots in spec.plant.profiles]
-    radius = _radius(profiles, degree_of(spec.form, spec.structure))
-    return [Design(spec.title, loop, radius, spec_assumptions(spec))]
+    radius = _radius(loop, profiles)
+    bounds = [profile.bounds() for profile in profiles]
+    start = tuple(loop.start().tolist())
+    return [Design(spec.title, loop, radius, spec_assumptions(spec), *_box(bounds), start)]
+
+
+def _box(bounds: Sequence[tuple[float, float]]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Centre and half the sides of a box."""
+    middle = tuple(low / 2 + high / 2 for low, high in bounds)
+    return middle, tuple(high / 2 - low / 2 for low, high in bounds)
 
 
 def _of_scenario(scenario: Scenario) -> list[Design]:
@@ -262,33 +314,43 @@ def _of_scenario(scenario: Scenario) -> list[Design]:
             remarks = case_assumptions(case)
         except InvalidInput as error:
             raise InvalidInput(f"{scenario.file}: {variant.name}: {error}") from error
-        radius = _radius(found.profiles, _degree(found.loop))
-        designs.append(Design(variant.name, found.loop, radius, remarks))
+        radius = _radius(found.loop, found.profiles)
+        bounds = [
+            (low + offset, high + offset)
+            for (low, high), offset in zip(
+                (profile.bounds() for profile in found.profiles), found.offsets, strict=True
+            )
+        ]
+        start = tuple(found.start.tolist())
+        designs.append(Design(variant.name, found.certified, radius, remarks, *_box(bounds), start))
     return designs
 
 
 def _alone(case: Case) -> Case:
-    """The one loop of a case without what drives its dtheta, however theta(t) comes about."""
+    """The one loop of a case, without what drives its dtheta or its reference.
+
+    The certificate holds for every theta(t) and reference, however they come about.
+    """
     loops = loops_of(case)
-    if len(loops) != 1 or not any(".dtheta" in c.target for c in case.system.connections):
+    driven = [c for c in case.system.connections if _is_driven(c.target)]
+    if len(loops) != 1 or not driven:
         return case
     names = {component.name for component in loops[0]}
     connections = tuple(
         c
         for c in case.system.connections
-        if ".dtheta" not in c.target and {c.source.split(".")[0], c.target.split(".")[0]} == names
+        if not _is_driven(c.target) and {c.source.split(".")[0], c.target.split(".")[0]} == names
     )
     return replace(case, system=replace(case.system, components=loops[0], connections=connections))
 
 
-def _degree(loop: ClosedLoop) -> int | None:
-    """m of the plant (27), or None."""
-    if "sign_b_m" not in loop.values:
-        return None
-    _, theta = loop.arguments
-    return int(theta.numel() - np.size(loop.values["k"]) - 1)
+def _is_driven(target: str) -> bool:
+    """Whether an input is one that theta(t) or a reference comes in by."""
+    return target.partition(".")[2].split("[")[0] in ("dtheta", "yr")
 
 
-def _radius(profiles: Sequence[Profile], degree: int | None) -> float:
-    """delta is the radius of what varies: of a(t) alone in output feedback."""
-    return box_radius(profiles[0 if degree is None else degree + 1 :])
+def _radius(loop: ClosedLoop, profiles: Sequence[Profile]) -> float:
+    """delta is the radius of a(t) alone in output feedback, and not of an input gain b(t)."""
+    if "sign_b_m" in loop.values:
+        return box_radius(profiles[len(profiles) - np.size(loop.values["k"]) :])
+    return box_radius(profiles[: loop.state("controller", "theta_hat").symbol.numel()])

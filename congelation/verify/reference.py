@@ -12,10 +12,11 @@ import json
 import math
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
 from typing import Any
 
+import casadi as ca
 import fmpy
 import numpy as np
 import numpy.typing as npt
@@ -23,7 +24,7 @@ import numpy.typing as npt
 from congelation.cosim.result import Result
 from congelation.cosim.system import Component, System
 from congelation.errors import CongelationError, InvalidInput
-from congelation.export.forms import models_of
+from congelation.export.forms import BLOCKS, fit, models_of
 from congelation.export.interface import start_names
 from congelation.fmi.description import describe
 from congelation.fmi.start import resolve_start
@@ -32,7 +33,7 @@ from congelation.scenario.parts import Case, Experiment, Scalar
 from congelation.signals import Profile
 from congelation.signals import Segment as Piece
 from congelation.theory.closed_loop import ClosedLoop, Segment, close
-from congelation.theory.model import Model
+from congelation.theory.model import Model, Output
 
 __all__ = [
     "LARGEST_DEVIATION",
@@ -81,6 +82,8 @@ class Reference:
     ----------
     plant, controller : str
         Names of the components.
+    source : str
+        Name of the component that the controller's reference comes from; empty: there is none.
     loop : ClosedLoop
     profiles : tuple of Profile
         theta(t), component by component, without the constants dtheta.
@@ -94,6 +97,7 @@ class Reference:
 
     plant: str
     controller: str
+    source: str
     loop: ClosedLoop
     profiles: tuple[Profile, ...]
     offsets: tuple[float, ...]
@@ -122,9 +126,22 @@ class Reference:
             for name, values in zip(names, (*solution.states.T, *solution.outputs.T), strict=True)
         }
 
+    @cached_property
+    def certified(self) -> ClosedLoop:
+        """The loop that the certificate is of: whatever the reference, it is among the states."""
+        if self.loop.source is None:
+            return self.loop
+        return close(self.loop.plant, self.loop.controller, self.loop.values)
+
+    @property
+    def certified_names(self) -> tuple[str, ...]:
+        """The states of that loop as ``component.variable``."""
+        return tuple(self._name(name) for name in self.certified.state_names)
+
     def _name(self, name: str) -> str:
         side, _, variable = name.partition(".")
-        return f"{self.plant if side == 'plant' else self.controller}.{variable}"
+        names = {"plant": self.plant, "controller": self.controller, "source": self.source}
+        return f"{names[side]}.{variable}"
 
 
 def reference(case: Case) -> Reference:
@@ -133,31 +150,60 @@ def reference(case: Case) -> Reference:
     Raises
     ------
     InvalidInput
-        If the system is no loop of a plant and its controller, both from `congelation build`.
+        If the system is no loop of a plant and its controller, both from `congelation build`, and
+        maybe of a Reference that the controller follows.
     """
-    plant, controller = _loop_members(case.system)
+    plant, controller, source = _loop_members(case.system)
     models = _models(plant, controller)
-    _check_loop(case.system, plant, controller, models)
-    values = {component.name: start_values_of(component) for component in (plant, controller)}
-    loop = close(*models, _parameters(models[1], values[controller.name]))
+    members = (plant, controller) if source is None else (plant, controller, source)
+    values = {component.name: start_values_of(component) for component in members}
+    model = _constant(models[1], values[controller.name]) if source is None else _block(source)
+    _check_loop(case.system, plant, controller, source, models)
+    loop = close(
+        *models,
+        _parameters(models[1], values[controller.name]),
+        model,
+        _parameters(model, values[source.name]) if source is not None and model else None,
+    )
     states = {
         state.variables.name: [
             float(values[c.name][name]) for name in start_names(state, c is plant)
         ]
-        for c, model in zip((plant, controller), models, strict=True)
-        for state in model.states
+        for c, derived in zip(members, (*models, model), strict=False)
+        if derived is not None
+        for state in derived.states
     }
     profiles, offsets = theta_of(values[plant.name])
-    segments = _segments(case, profiles, offsets)
+    signals = [] if source is None else theta_of(values[source.name])[0]
     return Reference(
         plant.name,
         controller.name,
+        "" if source is None else source.name,
         loop,
         tuple(profiles),
         tuple(offsets),
-        segments,
+        _segments(case, profiles, offsets, signals, timed=source is not None),
         loop.start(states),
     )
+
+
+def _block(component: Component) -> Model:
+    """The model of a block, derived anew."""
+    about = _spec(component)
+    return BLOCKS[about["form"]].model(about["structure"])
+
+
+def _constant(controller: Model, values: Mapping[str, Scalar]) -> Model | None:
+    """The reference of a controller that nothing drives: the held start values of its input."""
+    outputs = []
+    for entry in controller.inputs:
+        v = entry.variables
+        if v.first == 0:
+            numbers = ca.SX(ca.DM([float(values[name]) for name in v.names]))
+            outputs.append(Output(replace(v, symbol=numbers)))
+    if not outputs:
+        return None
+    return Model("Constant", "A constant reference", (), (), (), tuple(outputs))
 
 
 def compare(found: Reference, trajectory: Trajectory) -> tuple[Deviation, ...]:
@@ -233,12 +279,18 @@ def _deviation(variable: str, values: Floats, exact: Floats) -> Deviation:
     return Deviation(variable, error, error / peak if peak > 0.0 else math.inf)
 
 
-def _loop_members(system: System) -> tuple[Component, Component]:
-    roles = {_spec(component)["role"]: component for component in system.components}
-    if len(system.components) != 2 or set(roles) != set(_ROLES):
+def _loop_members(system: System) -> tuple[Component, Component, Component | None]:
+    """The plant, the controller, and the block that the controller's reference comes from."""
+    about = {component.name: _spec(component) for component in system.components}
+    roles = {about[component.name]["role"]: component for component in system.components}
+    references = [c for c in system.components if about[c.name]["form"] == "reference"]
+    alone = len(system.components) == 2 + len(references) and len(references) <= 1
+    if not alone or not set(_ROLES) <= set(roles):
         names = ", ".join(component.name for component in system.components)
-        raise InvalidInput(f"a plant and its controller are needed, not {names}")
-    return roles["plant"], roles["controller"]
+        raise InvalidInput(
+            f"a plant and its controller are needed, and a Reference at most, not {names}"
+        )
+    return roles["plant"], roles["controller"], next(iter(references), None)
 
 
 def _spec(component: Component) -> dict[str, Any]:
@@ -256,9 +308,12 @@ def _spec(component: Component) -> dict[str, Any]:
 
 def _models(plant: Component, controller: Component) -> tuple[Model, Model]:
     specs = [_spec(plant), _spec(controller)]
-    if len({json.dumps([s["form"], s["structure"]], sort_keys=True) for s in specs}) > 1:
-        raise InvalidInput(f"{plant.name} and {controller.name} are of different specs")
-    return models_of(specs[0]["form"], specs[0]["structure"])
+    if not fit(*specs):
+        raise InvalidInput(
+            f"{plant.name} and {controller.name} are of different systems; take a plant and a "
+            "controller of one spec, or of specs that differ in the law alone"
+        )
+    return models_of(specs[0]["form"], specs[0]["structure"], specs[1]["structure"])
 
 
 def start_values_of(component: Component) -> dict[str, Scalar]:
@@ -280,16 +335,20 @@ def _typed(kind: str, text: str) -> Scalar:
 
 
 def _check_loop(
-    system: System, plant: Component, controller: Component, models: tuple[Model, Model]
+    system: System,
+    plant: Component,
+    controller: Component,
+    reference: Component | None,
+    models: tuple[Model, Model],
 ) -> None:
     """The monolithic loop connects equal names both ways; the system has to do just that."""
-    ends = ((controller, plant, models[0]), (plant, controller, models[1]))
-    wanted = {
-        f"{source.name}.{name} -> {target.name}.{name}"
-        for source, target, model in ends
-        for entry in model.inputs
-        for name in entry.variables.names
-    }
+    wanted = set()
+    for one, other, model in ((controller, plant, models[0]), (plant, controller, models[1])):
+        for entry in model.inputs:
+            source = one if entry.variables.first == 1 else reference
+            if source is not None:
+                names = entry.variables.names
+                wanted |= {f"{source.name}.{name} -> {other.name}.{name}" for name in names}
     given = {link.name for link in system.resolve().links}
     for name in sorted(wanted ^ given):
         verb = "is missing" if name in wanted else "is none of the loop's"
@@ -304,15 +363,20 @@ def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]
 
 
 def _segments(
-    case: Case, profiles: Sequence[Profile], offsets: Sequence[float]
+    case: Case,
+    profiles: Sequence[Profile],
+    offsets: Sequence[float],
+    signals: Sequence[Profile],
+    timed: bool,
 ) -> tuple[Segment, ...]:
-    """theta(t) on the smooth pieces between the jumps of any of its components."""
+    """theta(t), then the signals of the reference and time, on the pieces between their jumps."""
     stop = case.experiment.stop_time
     segments, time = [], case.experiment.start_time
     while time < stop:
-        pieces = [profile.segment(time) for profile in profiles]
+        pieces = [profile.segment(time) for profile in (*profiles, *signals)]
         end = min([piece.end for piece in pieces] + [stop])
-        segments.append(Segment(time, end, partial(_theta_at, pieces, offsets)))
+        added = (*offsets, *(0.0 for _ in signals))
+        segments.append(Segment(time, end, partial(_theta_at, pieces, added, timed)))
         time = end
     return tuple(segments)
 
@@ -331,5 +395,8 @@ def theta_of(values: Mapping[str, Scalar]) -> tuple[list[Profile], list[float]]:
     return profiles, offsets
 
 
-def _theta_at(pieces: Sequence[Piece], offsets: Sequence[float], t: float) -> list[float]:
-    return [piece.value(t) + offset for piece, offset in zip(pieces, offsets, strict=True)]
+def _theta_at(
+    pieces: Sequence[Piece], offsets: Sequence[float], timed: bool, t: float
+) -> list[float]:
+    values = [piece.value(t) + offset for piece, offset in zip(pieces, offsets, strict=True)]
+    return [*values, t] if timed else values

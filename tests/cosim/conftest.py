@@ -23,6 +23,16 @@ def fmus(tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def parts(tmp_path_factory):
+    """Folder with the FMUs of the coupling problems."""
+    from benchmarks.coupling.parts import build
+
+    folder = tmp_path_factory.mktemp("parts")
+    build(folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
 def loop(fmus):
     """A function that gives the oscillator and its controller as a system."""
     from congelation.cosim import Component, Connection, System

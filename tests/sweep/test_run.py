@@ -52,6 +52,7 @@ def test_rows_and_trajectories(tmp_path: Path) -> None:
         "worst_margin",
         "trust.error",
         "trust.verdict",
+        "trust.line",
         "fmu.plant",
         "fmu.controller",
         "seed",

@@ -147,7 +147,7 @@ def test_modified_law_is_carried_through_the_state_feedback_recursion(order, see
     rng = np.random.default_rng(seed)
     design = state_feedback_design(random_phibar(rng, n, p), robust)
     model = state_feedback_model(design)
-    plant = strict_feedback_plant(design.phibar)
+    plant = strict_feedback_plant(design.regressors)
     own = random_state_feedback_parameters(rng, n, p) | ALL_ON | {"theta_half_width": np.ones(p)}
     values = complete_values(model, own) | random_state(rng, model)
     theta = rng.normal(size=p)

@@ -84,7 +84,7 @@ def test_law_of_system_60_at_one_state():
 def error_dynamics(design, model, values, theta):
     """z' by the chain rule along the plant and the law."""
     x, theta_hat = design.symbols.x.symbol, design.symbols.theta_hat.symbol
-    plant = strict_feedback_plant(design.phibar)
+    plant = strict_feedback_plant(design.regressors)
     (u,) = numbers(model, [design.u], values)
     (x_rate,) = numbers(plant, [plant.states[0].rate], {"x": values["x"], "u": u, "theta": theta})
     J_x, J_theta, estimate_rate = numbers(

@@ -136,7 +136,8 @@ MISTAKES = {
     "two plants": (
         "[experiment]",
         f'[components.other]\nfmu = "{FMUS}/ScalarPlant.fmu"\n[experiment]',
-        "a plant and its controller are needed, not plant, controller, other",
+        "a plant and its controller are needed, and a Reference at most, not plant, controller, "
+        "other",
     ),
 }
 
@@ -164,7 +165,7 @@ experiment = {{stop_time = 1, step = 0.1}}
 
 def test_a_plant_and_the_controller_of_another_are_no_loop(tmp_path: Path) -> None:
     scenario = load_scenario(write(tmp_path, OTHERS))
-    with pytest.raises(InvalidInput, match="plant and controller are of different specs"):
+    with pytest.raises(InvalidInput, match="plant and controller are of different systems"):
         reference(scenario.case({}))
 
 

@@ -59,10 +59,17 @@ class Stepper(ABC, Generic[S]):
         Passes over all components made so far.
     calls_per_iteration : int
         fmi2 calls that one takes; what is called besides is counted by the ensemble.
+    order : int
+        Power of the step with which the error of a run falls, where everything is smooth.
+    halves : bool
+        Whether the error of a step is to be found by making it again in two halves, as the
+        inputs cannot follow the polynomials whose error is known.
     """
 
     iterations: int
     calls_per_iteration: int
+    order: int = 1
+    halves: bool = False
 
     @abstractmethod
     def start(self, time: float, before: S | None) -> S:
@@ -91,16 +98,7 @@ class Stepper(ABC, Generic[S]):
 
 
 class AdaptiveStepper(Stepper[S]):
-    """A stepper whose steps carry an error estimate and can be taken back.
-
-    Attributes
-    ----------
-    halves : bool
-        Whether the error of a step is to be found by making it again in two halves, as the
-        inputs cannot follow the polynomials whose error is known.
-    """
-
-    halves: bool
+    """A stepper whose steps carry an error estimate and can be taken back."""
 
     @abstractmethod
     def attempt(self, state: S, time: float, end: float) -> Trial[S]:

@@ -41,6 +41,9 @@ SHARE_OF_HALVED = 1e-4
 """The same where the error of a step is the difference of two solutions: what unfinished iterations
 leave in either must not show in it."""
 
+HELD = 2
+"""Order where an input cannot follow the cubic, or a source says no derivative."""
+
 FIRST_CHANGE = 3e-2
 """Share of its size by which an input may change over the first step that is tried."""
 
@@ -79,6 +82,12 @@ class Hermite(Coupling):
     acceleration : str
         "broyden": quasi-Newton steps on the inputs that are fed back, which converge where loop
         gain times step is beyond 1; "none": plain iterations.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> cg.simulate(system, stop_time=0.5, step=0.05, coupling=cg.Hermite(order=6)).status.name
+    'COMPLETED'
     """
 
     order: int | None = None
@@ -197,6 +206,7 @@ class _HermiteStepper(AdaptiveStepper[HermiteState]):
         self._reader = LinkReader(ensemble)
         self._highest = self._highest_order()
         self.halves = bool((ensemble.order < MAX_DERIVATIVE).any() or self._reader.inexact.size)
+        self.order = HELD if self.halves else LOW
         self._accuracy = coupling.tolerance
         if tolerance is not None:
             self._accuracy = tolerance * (SHARE_OF_HALVED if self.halves else SHARE_OF_TOLERANCE)

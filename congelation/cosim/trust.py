@@ -1,0 +1,587 @@
+"""Error bars: a run is made again with all of its steps halved, and the difference becomes bands.
+
+The difference of two runs whose errors are c h^p and c (h / 2)^p is (2^p - 1) / 2^p of the error of
+the first one (Richardson; Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I,
+section II.4). It passes through zero where the error does not, as when an oscillation lags: a band
+is therefore laid over its maxima.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.cosim.coupling import Coupling, Hermite
+from congelation.cosim.coupling.interpolant import HIGH, LOW
+from congelation.cosim.experiment import Experiment, slave_tolerance
+from congelation.cosim.pool import SlavePool
+from congelation.cosim.recording import Memory, Output, Sink
+from congelation.cosim.result import Result, Statistics, Trust
+from congelation.cosim.system import Recorded, System
+from congelation.errors import InvalidInput
+
+__all__ = ["TRUST", "bands", "error_name", "trusted", "variable_of"]
+
+Floats = npt.NDArray[np.float64]
+Indices = npt.NDArray[np.intp]
+Mask = npt.NDArray[np.bool_]
+
+TRUST = ("order", "probe")
+"""What may be asked for besides the bands."""
+
+WINDOW = 0.01
+"""Of the horizon, to either side: so far the largest difference counts."""
+
+MARGIN = 1.5
+"""What a band is wider than the error that the difference suggests."""
+
+NEAR_PEAK, AT_PEAK = 0.5, 1.2
+"""From this share of the peak on, a difference counts less and less as an extrapolation has it; at
+the peak, it is the error but for this factor."""
+
+STARTING = 4
+"""Intervals after the start in which derivatives that come from history are of order 1."""
+
+HISTORY_ORDER = 2
+"""Of couplings that may take derivatives from the past values of an output."""
+
+JITTER = 2.0
+"""What a band is wider where something switches: delays of up to a step add up at random."""
+
+FLOOR = 1e-8
+"""Of a variable's peak: no band is narrower, as rounding and unfinished iterations count, too."""
+
+RESOLVED, ROUGH = 0.1, 0.3
+"""Largest band over peak up to which a variable counts as resolved, and as rough."""
+
+TIGHTER = 0.03
+"""Iterations of the second run end at this share of the change at which those of the first do."""
+
+TIGHTER_SLAVES = 0.01
+"""The same of the tolerance of the FMUs."""
+
+MOST_LEVELS = 8
+"""A variable that takes at most so many values, in many more rows, is a switched one."""
+
+NEAR = 1e-9
+"""Of the shortest step: rows of two runs this near to each other are of the same time."""
+
+PROBED, FINER = 0.01, 32
+"""Of the horizon, the part that the probe makes again, and how many steps it makes of each."""
+
+UNREPEATED = 1e-5
+"""Of a variable's peak: two runs that start further apart are no repetition."""
+
+LEAST_ORDER = 0.5
+"""Where a lower one is observed, differences say nothing of errors any more."""
+
+ROWS_PER_LEVEL = 8
+"""A switched variable has so many rows for each value it may take."""
+
+SEEN = 2.0
+"""The probe sees an inner step where it is off by so many bands."""
+
+
+def error_name(variable: str) -> str:
+    """The column of a variable's band."""
+    return f"error({variable})"
+
+
+def variable_of(column: str) -> str:
+    """The variable that a column is of: itself, or that of the band."""
+    name = column.removeprefix("error(")
+    return column if name == column else name.removesuffix(")")
+
+
+# -- bands ----------------------------------------------------------------------------------------
+
+
+def bands(
+    time: Floats, difference: Floats, order: float | Floats, peaks: Floats | None = None
+) -> Floats:
+    """Bands around the values of a run.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        Increasing.
+    difference : array, shape (N, M)
+        To the values of a run with half the step.
+    order : float or array, of a shape that extends to (N, M)
+        Power p of the step with which the error falls.
+    peaks : array, shape (M,), optional
+        Of the variables. A difference near the peak is most of the error, as values stay bounded.
+
+    Returns
+    -------
+    array, shape (N, M)
+        Largest error suggested by the difference within `WINDOW` of the horizon, and where that is
+        less, lines through its local maxima; times `MARGIN`.
+    """
+    factor = np.broadcast_to(2.0**order / (2.0**order - 1.0), difference.shape)
+    if peaks is not None:
+        with np.errstate(divide="ignore", invalid="ignore"):
+            size = np.nan_to_num(np.abs(difference) / peaks, nan=0.0)
+        large = np.clip((size - NEAR_PEAK) / (1.0 - NEAR_PEAK), 0.0, 1.0)
+        factor = factor + large * (np.minimum(factor, AT_PEAK) - factor)
+    error = np.abs(difference) * factor
+    highest = _window_maxima(time, error)
+    return MARGIN * np.column_stack(
+        [np.maximum(column, _over_maxima(time, column)) for column in highest.T]
+    )
+
+
+def _window_maxima(time: Floats, values: Floats) -> Floats:
+    """The largest of values, shape (N, M), within the window around each time."""
+    # A little wider, so that a row at its very end counts wherever times are rounded to.
+    width = (1.0 + 1e-6) * WINDOW * (time[-1] - time[0])
+    first = np.searchsorted(time, time - width, "left")
+    after = np.searchsorted(time, time + width, "right")
+    # Maxima over 2^k rows from each row on; two of them cover any number of rows.
+    level, found, length = 0, np.zeros_like(values), after - first
+    table = values
+    while True:
+        here = (length >= 2**level) & (length < 2 ** (level + 1))
+        found[here] = np.maximum(table[first[here]], table[after[here] - 2**level])
+        if 2 ** (level + 1) > length.max():
+            return found
+        table = np.maximum(table[: -(2**level)], table[2**level :])
+        level += 1
+
+
+def _over_maxima(time: Floats, values: Floats) -> Floats:
+    """The lines through the local maxima of values, shape (N,), and through both ends."""
+    rises, falls = np.ones(len(values), bool), np.ones(len(values), bool)
+    rises[1:], falls[:-1] = values[1:] >= values[:-1], values[:-1] >= values[1:]
+    places = np.flatnonzero(rises & falls)
+    places = np.unique([0, *places, len(values) - 1])
+    return np.interp(time, time[places], values[places])
+
+
+# -- runs -----------------------------------------------------------------------------------------
+
+
+class _At(Sink):
+    """Keeps the rows at some times.
+
+    Parameters
+    ----------
+    times : array, shape (N,), or None
+        Increasing; None: the times of all rows are kept, and no values.
+    near : float
+        Rows this near count, in seconds.
+    """
+
+    def __init__(self, times: Floats | None, near: float = 0.0) -> None:
+        self._times, self._near = times, near
+        self._kept = Memory()
+
+    def open(self, columns: Sequence[str]) -> None:
+        """Begin with nothing."""
+        self._kept.open(columns if self._times is not None else columns[:1])
+
+    def write(self, block: Floats) -> None:
+        """Keep what is wanted of a block."""
+        if self._times is None:
+            self._kept.write(block[:, :1].copy())
+        else:
+            distance = np.abs(self._times[_nearest(self._times, block[:, 0])] - block[:, 0])
+            self._kept.write(block[distance <= self._near])
+
+    def close(self) -> None:
+        """Nothing is left to do."""
+
+    def abandon(self) -> None:
+        """Nothing is left to do."""
+
+    def times(self) -> Floats:
+        """Of all rows, shape (N,)."""
+        return self._kept.rows()[:, 0]
+
+    def values(self) -> Floats:
+        """The values at each of the times, shape (N, M); nan where there is no row."""
+        assert self._times is not None
+        rows = self._kept.rows()
+        found = np.full((len(self._times), rows.shape[1] - 1), math.nan)
+        if len(rows):
+            found[_nearest(self._times, rows[:, 0])] = rows[:, 1:]
+        return found
+
+
+def _nearest(times: Floats, wanted: Floats) -> Indices:
+    """The places in increasing times that are nearest to those wanted."""
+    after = np.searchsorted(times, wanted).clip(1, len(times) - 1)
+    return np.asarray(after - (wanted - times[after - 1] < times[after] - wanted), dtype=np.intp)
+
+
+def trusted(
+    perform: Callable[..., Result],
+    system: System,
+    experiment: Experiment,
+    mode: bool | str,
+    *,
+    output: Output | Sequence[Output] | None = None,
+    progress: Callable[[float], None] | None = None,
+    pool: SlavePool | None = None,
+) -> Result:
+    """A run with its error bars.
+
+    Parameters
+    ----------
+    perform : callable
+        `congelation.cosim.master.perform`.
+    system : System
+    experiment : Experiment
+    mode : bool or str
+        True, or one of `TRUST`.
+    output, progress, pool
+        As in `perform`.
+
+    Returns
+    -------
+    Result
+        Of the run itself. Its `trust` holds the bands, which are also columns of it unless a sink
+        took the rows.
+
+    Raises
+    ------
+    InvalidInput
+        As `perform`, or an unknown mode.
+    """
+    if mode is not True and mode not in TRUST:
+        raise InvalidInput(f"trust = {mode!r} is not valid; give true, {' or '.join(TRUST)}")
+    given = output if output is not None else experiment.output or Output()
+    first, *others = (given,) if isinstance(given, Output) else given
+    rows, points = Memory(), _At(None)
+    outputs = [first, *others, Output(sink=points)]
+    if first.sink is not None:
+        outputs.append(replace(first, sink=rows))
+    with SlavePool() if pool is None else nullcontext(pool) as lender:
+
+        def run(experiment: Experiment, outputs: Sequence[Output], **more: Any) -> Result:
+            return perform(system, experiment, output=outputs, pool=lender, **more)
+
+        base = run(experiment, outputs, progress=_part(progress, 0.0, ONE_OF_THREE))
+        if not base.whole:
+            return replace(base, trust=Trust.unknown("the run did not come to its end"))
+        table = np.column_stack([base.time, base.values]) if first.sink is None else rows.rows()
+        again = _Again(run, experiment, base.statistics, points.times(), table, first.interval)
+        resolved = system.resolve()
+        trust = _judged(
+            again,
+            resolved.recorded(experiment.record),
+            mode,
+            _part(progress, ONE_OF_THREE, 1.0),
+            discrete=bool(resolved.discrete_links),
+        )
+    if first.sink is not None or trust.bands is None:
+        return replace(base, trust=trust)
+    return replace(
+        base,
+        names=(*base.names, *map(error_name, base.names)),
+        values=np.hstack([base.values, trust.bands]),
+        trust=trust,
+    )
+
+
+ONE_OF_THREE = 1.0 / 3.0
+"""The run's part of the work."""
+
+
+def _part(
+    progress: Callable[[float], None] | None, begin: float, end: float
+) -> Callable[[float], None] | None:
+    """Progress of a part of the work."""
+    if progress is None:
+        return None
+    return lambda fraction: progress(begin + fraction * (end - begin))
+
+
+class _Again:
+    """Makes a run again, with other steps.
+
+    Parameters
+    ----------
+    run : callable
+        Performs an experiment.
+    experiment : Experiment
+        Of the run.
+    statistics : Statistics
+    points : array, shape (P,)
+        Its communication points, the start time among them.
+    table : array, shape (N, 1 + M)
+        Its rows.
+    interval : float or None
+        Of its rows, where they have one of their own.
+    """
+
+    def __init__(
+        self,
+        run: Callable[..., Result],
+        experiment: Experiment,
+        statistics: Statistics,
+        points: Floats,
+        table: Floats,
+        interval: float | None,
+    ) -> None:
+        self._run = run
+        self._interval = interval
+        self.experiment, self.statistics = experiment, statistics
+        self.points = points
+        self.time, self.values = table[:, 0], table[:, 1:]
+        self.steps = 0
+
+    def at(
+        self, points: Floats, progress: Callable[[float], None] | None = None
+    ) -> tuple[Result, Floats]:
+        """Another run over other communication points, shape (P,), tightened inside; and its values
+        at the times of the rows, shape (N, M), nan where it has none."""
+        lengths = np.diff(points)
+        experiment = replace(
+            self.experiment,
+            stop_time=float(points[-1]),
+            step=float(lengths.max()),
+            tolerance=None,
+            coupling=self._coupling(),
+            options={},
+            slave_tolerance=None,
+            output_interval=None,
+            output_every=None,
+            max_steps=None,
+        )
+        slaves = slave_tolerance(self.experiment)
+        if slaves is not None:
+            experiment = replace(experiment, slave_tolerance=TIGHTER_SLAVES * slaves)
+        kept = _At(self.time, NEAR * float(lengths.min()))
+        result = self._run(
+            experiment,
+            [Output(interval=self._interval, sink=kept)],
+            points=points[1:].tolist(),
+            progress=progress,
+        )
+        self.steps += result.statistics.macro_steps
+        return result, kept.values()
+
+    def _coupling(self) -> Coupling:
+        """That of the run, with iterations that end closer to their solution, and the highest order
+        that it has."""
+        coupling = self.experiment.chosen_coupling
+        if not isinstance(coupling, Hermite):
+            return coupling
+        accuracy = coupling.tolerance
+        if self.experiment.tolerance is not None:
+            accuracy = min(accuracy, self.experiment.tolerance)
+        order = HIGH if self.statistics.order == LOW else coupling.order
+        return replace(coupling, order=order, iterations=None, tolerance=TIGHTER * accuracy)
+
+
+def divided(points: Floats, parts: int) -> Floats:
+    """Points, shape (P,), with each interval divided into so many; they stay what they are."""
+    shares = np.arange(parts) / parts
+    finer = points[:-1, None] + np.diff(points)[:, None] * shares
+    return np.append(finer.reshape(-1), points[-1])
+
+
+def _judged(
+    again: _Again,
+    recorded: Sequence[Recorded],
+    mode: bool | str,
+    progress: Callable[[float], None] | None,
+    *,
+    discrete: bool,
+) -> Trust:
+    """Make the run again, and say how far it may be off."""
+    time, values, statistics = again.time, again.values, again.statistics
+    second, finer = again.at(divided(again.points, 2 * statistics.parts), progress)
+    if not second.whole:
+        return Trust.unknown(f"the second run: {second.message}", second.status.name)
+    names = [item.name for item in recorded]
+    peaks = np.maximum(np.abs(values).max(axis=0), np.nanmax(np.abs(finer), axis=0))
+    difference = np.abs(values - finer)
+    # Where an FMU ended the second run earlier, the last difference is the best that is known.
+    missing = np.isnan(difference[:, :1]).all(axis=1)
+    difference[missing] = difference[~missing][-1]
+    strange = np.flatnonzero(difference[0] > UNREPEATED * peaks)
+    if strange.size:
+        k = int(strange[0])
+        return Trust.unknown(
+            f"{names[k]} starts from {values[0, k]:.6g}, and from {finer[0, k]:.6g} when the run "
+            "is made again: an FMU does not repeat what it does"
+        )
+    switched = np.array(
+        [_is_switched(item, column) for item, column in zip(recorded, values.T, strict=True)], bool
+    )
+    # Of whatever order inputs are moved, a jump that nobody announces is late by part of a step.
+    switches = bool(switched.any() or discrete)
+    order: float | Floats = 1.0 if switches else float(statistics.order)
+    notes: list[_Note] = []
+    if mode == "order":
+        order, notes = _observed(again, difference, ~switched, peaks, names)
+    floor = max(FLOOR, slave_tolerance(again.experiment) or 0.0) * peaks
+    powers = np.full(difference.shape, np.maximum(order, LEAST_ORDER))
+    if statistics.order == HISTORY_ORDER:
+        begun = time <= again.points[: STARTING + 1][-1]
+        powers[begun] = np.minimum(powers[begun], 1.0)
+    found = bands(time, difference, powers, peaks) * (JITTER if switches else 1.0)
+    found = np.maximum(found, floor)
+    found[:, switched] = _window_maxima(time, difference[:, switched])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        relative = np.nan_to_num(found.max(axis=0) / peaks, nan=0.0)
+    relative[switched] = (difference[:, switched] > 0.0).mean(axis=0)
+    if mode == "probe":
+        notes += _probed(again, found, names)
+    verdicts = tuple(map(_verdict, relative))
+    since = tuple(
+        float(time[np.argmax(column > RESOLVED * peak)])
+        if (column > RESOLVED * peak).any()
+        else None
+        for column, peak in zip(found.T, peaks, strict=True)
+    )
+    runs = 1.0 + again.steps / (statistics.macro_steps * (3.0 if statistics.parts > 1 else 1.0))
+    blank = Trust("resolved", "", 0.0, found, relative, verdicts, since, float(np.min(order)), runs)
+    if not names:
+        return blank
+    worst = int(np.argmax(relative))
+    error = float(relative[worst])
+    at = float(time[int(np.argmax(found[:, worst]))])
+    verdict = NOT_RESOLVED if any(note.settles for note in notes) else verdicts[worst]
+    return replace(
+        blank,
+        verdict=verdict,
+        error=error,
+        line=_line(blank, verdict, names, worst, at, bool(switched[worst]), notes),
+    )
+
+
+class _Note(NamedTuple):
+    """What a further run has shown.
+
+    Parameters
+    ----------
+    text : str
+    settles : bool
+        Whether it makes bands meaningless.
+    """
+
+    text: str
+    settles: bool
+
+
+NOT_RESOLVED = "not resolved"
+
+
+def _verdict(relative: float) -> str:
+    if relative <= RESOLVED:
+        return "resolved"
+    return "rough" if relative <= ROUGH else NOT_RESOLVED
+
+
+def _line(
+    trust: Trust,
+    verdict: str,
+    names: Sequence[str],
+    worst: int,
+    at: float,
+    switched: bool,
+    notes: Sequence[_Note],
+) -> str:
+    """What there is to say, in one line."""
+    error = trust.relative[worst]
+    if switched:
+        said = f"{names[worst]} switches at other times: {error:.2g} of the time it differs"
+    elif verdict == NOT_RESOLVED:
+        since = trust.since[worst]
+        others = sum(v == NOT_RESOLVED for v in trust.verdicts) - 1
+        said = f"not resolved: {names[worst]} may be off by {_percent(error)} of its peak"
+        if since is not None:
+            said += f", by a tenth of it from t = {since:.4g} s on"
+        if others > 0:
+            said += f" (and {others} more)"
+    else:
+        said = f"within {_percent(error)} of each peak (worst {names[worst]} at t = {at:.4g} s)"
+        if verdict != "resolved":
+            said = f"{verdict}: {said}"
+    parts = [said, f"order {trust.order:.2g}", f"{trust.runs:.1f} runs", *(n.text for n in notes)]
+    return f"trust: {'; '.join([*parts, INSIDE])}"
+
+
+INSIDE = "errors inside an FMU count only as far as they change with the step"
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.2g} %" if share < 10.0 else f"{share:.2g} times"
+
+
+def _is_switched(item: Recorded, values: Floats) -> bool:
+    """Whether a recorded variable, values of shape (N,), jumps between few values."""
+    if item.variable.type != "Real" or item.variable.variability == "discrete":
+        return True
+    levels = len(np.unique(values))
+    return 1 < levels <= MOST_LEVELS < len(values) / ROWS_PER_LEVEL
+
+
+def _observed(
+    again: _Again, difference: Floats, smooth: Mask, peaks: Floats, names: Sequence[str]
+) -> tuple[Floats, list[_Note]]:
+    """The order of each variable, shape (M,), from a run with doubled steps; what it says."""
+    expected = again.statistics.order
+    order = np.full(len(names), float(expected))
+    count = (len(again.points) - 1) // 2 * 2
+    points = divided(again.points[: count + 1 : 2], again.statistics.parts)
+    third, coarse = again.at(points)
+    if not third.whole:
+        return order, [_Note(f"with doubled steps: {third.message}", False)]
+    here = ~np.isnan(coarse).any(axis=1)
+    change = np.abs(coarse[here] - again.values[here]).max(axis=0)
+    before = difference[here].max(axis=0)
+    told = smooth & (np.minimum(change, before) > FLOOR * peaks)
+    order[told] = np.minimum(np.log2(change[told] / before[told]), expected)
+    notes = []
+    if told.any():
+        k = int(np.argmin(np.where(told, order, np.inf)))
+        if order[k] < 0.0:
+            notes.append(
+                _Note(
+                    f"{names[k]} gets worse as steps shrink: a loop gain above 1 with held inputs?",
+                    True,
+                )
+            )
+        elif order[k] < expected / 2.0:
+            notes.append(
+                _Note(
+                    f"{names[k]} is not smooth (order {order[k]:.1f} in place of {expected}): a "
+                    "jump that no FMU announces?",
+                    False,
+                )
+            )
+    return order, notes
+
+
+def _probed(again: _Again, found: Floats, names: Sequence[str]) -> list[_Note]:
+    """What far shorter steps at the beginning say against the bands, shape (N, M)."""
+    start, stop = again.points[0], again.points[-1]
+    until = max(start + PROBED * (stop - start), again.time[1])
+    count = max(int(np.searchsorted(again.points, until, "right")), 2)
+    fine, values = again.at(divided(again.points[:count], FINER * again.statistics.parts))
+    if not fine.whole:
+        return [_Note(f"probe: {fine.message}", False)]
+    here = ~np.isnan(values).any(axis=1)
+    off = (
+        np.abs(values[here] - again.values[here]) / np.where(found[here] > 0, found[here], np.inf)
+    ).max(axis=0)
+    k = int(np.argmax(off))
+    if off[k] <= SEEN:
+        return [_Note("probe: no inner step of an FMU seen", False)]
+    return [
+        _Note(
+            f"probe: with steps {FINER} times shorter {names[k]} differs by {off[k]:.2g} bands: an "
+            "FMU steps inside on a grid of its own, whose error no band holds",
+            True,
+        )
+    ]

@@ -1,0 +1,383 @@
+"""State feedback beyond the paper: reference, varying gain, unknown radius, nonlinear regressors.
+
+V' is that of the closed loop, not of the recursion; what each term of the law is for shows where it
+is left out.
+"""
+
+import dataclasses
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from congelation.errors import InvalidInput
+from congelation.theory import output_feedback, state_feedback
+from congelation.theory.adaptation import gradient, robust
+from congelation.theory.closed_loop import close
+from congelation.theory.lyapunov import output_feedback_certificate, state_feedback_certificate
+from congelation.theory.observer_form import observer_form_plant
+from congelation.theory.options import Options
+from congelation.theory.output_feedback import output_feedback_controller
+from congelation.theory.state_feedback import StateFeedbackDesign, state_feedback_controller
+from congelation.theory.strict_feedback import (
+    Nonlinear,
+    hadamard_defect,
+    regressors_of,
+    strict_feedback_plant,
+)
+
+from .systems import (
+    numbers,
+    random_output_feedback_parameters,
+    random_phibar,
+    random_state_feedback_parameters,
+)
+
+TRACKING, GAIN, RADIUS = (
+    Options(tracking=True),
+    Options(varying_gain=True),
+    Options(unknown_radius=True),
+)
+EVERY = [
+    *(TRACKING, GAIN, RADIUS),
+    Options(tracking=True, varying_gain=True),
+    Options(tracking=True, varying_gain=True, unknown_radius=True),
+]
+POLYNOMIAL = Nonlinear((("x[1]**2", "sin(x[1])"), ("x[1]*x[2]", "x[2]**3 + x[1]")))
+SMOOTH = Nonlinear(
+    (
+        ("sin(x[1])", "x[1]"),
+        ("x[2]*exp(-x[1]**2/4)", "x[1]*x[2]"),
+        ("x[3]*cos(x[1])", "sin(x[2]) + x[3]**2"),
+    )
+)
+
+
+def named(options):
+    return "+".join(f.name for f in dataclasses.fields(options) if getattr(options, f.name)) or "-"
+
+
+def random_parameters(rng, n, p, options):
+    """Moderate ones: the certificate has to be told from rounding at order 4, too."""
+    values = random_state_feedback_parameters(rng, n, p)
+    values |= {"epsilon": rng.uniform(0.7, 2), "delta": rng.uniform(0.1, 1)}
+    if options.tracking:
+        values["epsilon_r"] = rng.uniform(0.7, 2)
+    if options.unknown_radius:
+        del values["delta"]
+        values["gamma_D"] = rng.uniform(0.1, 3)
+    if options.varying_gain:
+        values |= {"gamma": rng.uniform(0.1, 3), "sign_b": float(rng.choice([-1, 1]))}
+        if options.tracking:
+            values["epsilon_b"] = rng.uniform(0.7, 2)
+    return values
+
+
+def closed(phibar, parameters, options, adaptation=gradient):
+    plant = strict_feedback_plant(phibar, options.varying_gain)
+    return close(plant, state_feedback_controller(phibar, adaptation, options), parameters)
+
+
+def random_loop(seed, n, p, options, adaptation=gradient, **parameters):
+    rng = np.random.default_rng(seed)
+    phibar = random_phibar(rng, n, p)
+    return closed(phibar, random_parameters(rng, n, p, options) | parameters, options, adaptation)
+
+
+@pytest.mark.parametrize("options", EVERY, ids=named)
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (1, 2), (2, 2), (3, 2), (4, 2)])
+def test_the_claim_holds(n, p, options):
+    for seed, parameters in enumerate(({}, {"sigma": 0.4})):
+        law = robust if parameters else gradient
+        loop = random_loop(10 * n + seed, n, p, options, law, **parameters)
+        finding = state_feedback_certificate(loop).search(150, ascents=2, seed=seed)
+        assert not finding.violated, (finding.margin, finding.state)
+        assert finding.resolved > 0
+
+
+def test_sets_of_the_laws_keep_the_claim():
+    """Projection and switching leakage, for every estimate."""
+    options = EVERY[-1]
+    for parameters in ({"projection_ball": 1}, {"sigma": 0.5, "switching": 1}):
+        sets = {"rho_center": 1.0, "rho_bound": 0.9, "sign_b": 1.0, "D_center": 1.0}
+        loop = random_loop(3, 2, 2, options, robust, **parameters, **sets)
+        assert not state_feedback_certificate(loop).search(150, ascents=2).violated
+
+
+@pytest.mark.parametrize("regressors", [POLYNOMIAL, SMOOTH], ids=["n=2", "n=3"])
+@pytest.mark.parametrize("options", [Options(), EVERY[-1]], ids=named)
+def test_the_claim_holds_for_nonlinear_regressors(regressors, options):
+    n, p = regressors.orders
+    parameters = random_parameters(np.random.default_rng(n), n, p, options)
+    loop = closed(regressors, parameters, options)
+    assert not state_feedback_certificate(loop).search(200, ascents=2).violated
+
+
+# Negative controls: each names a term of the law, and the search finds that it is missing.
+
+
+def violated(loop):
+    return state_feedback_certificate(loop).search(400, ascents=10).violated
+
+
+@pytest.mark.parametrize(("n", "p"), [(1, 2), (2, 2), (3, 2)])
+def test_without_the_damping_of_the_reference_it_fails(monkeypatch, n, p):
+    monkeypatch.setattr(
+        state_feedback, "_tracking_damping", lambda symbols, rbar: ca.SX(1, rbar[0].shape[1])
+    )
+    assert violated(random_loop(n, n, p, TRACKING, delta=2.0, epsilon_r=0.3))
+
+
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2)])
+def test_a_control_that_cancels_does_not_stand_a_varying_gain(monkeypatch, n, p):
+    """u = rho_hat alpha_n, rho_hat' = -gamma sign_b alpha_n z_n, as for a constant gain."""
+    monkeypatch.setattr(
+        StateFeedbackDesign,
+        "kappa",
+        property(lambda design: -design.steps[-1].alpha / design.steps[-1].z),
+    )
+    assert violated(random_loop(n, n, p, GAIN))
+
+
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2)])
+def test_an_estimate_of_the_radius_that_does_not_move_is_none(monkeypatch, n, p):
+    rates = StateFeedbackDesign.estimate_rates.fget
+    monkeypatch.setattr(
+        StateFeedbackDesign,
+        "estimate_rates",
+        property(lambda design: (rates(design)[0], ca.SX(0))),
+    )
+    assert violated(random_loop(n, n, p, RADIUS))
+
+
+@pytest.mark.parametrize("regressors", [POLYNOMIAL, SMOOTH], ids=["n=2", "n=3"])
+def test_without_damping_nonlinear_regressors_fail(regressors):
+    n, p = regressors.orders
+    parameters = random_parameters(np.random.default_rng(n), n, p, Options())
+    assert violated(closed(regressors, parameters | {"damping": 0.0}, Options()))
+
+
+# The law against formulas written out by hand.
+
+
+def test_first_order_by_hand():
+    """n = p = 1, x' = b u + phibar x theta: every option at once."""
+    rng = np.random.default_rng(5)
+    phibar, options = 0.7, EVERY[-1]
+    model = state_feedback_controller([[[phibar]]], gradient, options)
+    v = random_parameters(rng, 1, 1, options)
+    c, Gamma, eps, eps_r, eps_b = (
+        float(np.ravel(v[k])[0]) for k in ("c", "Gamma", "epsilon", "epsilon_r", "epsilon_b")
+    )
+    for _ in range(20):
+        x, theta_hat, D_hat, rho_hat, yr, dyr = rng.normal(size=6)
+        state = {"x": x, "theta_hat": theta_hat, "D_hat": D_hat, "rho_hat": rho_hat}
+        (u, theta_rate, D_rate, rho_rate) = numbers(
+            model,
+            [model.output("u"), *(s.rate for s in model.states)],
+            {**v, **state, "yr": [yr, dyr]},
+        )
+        z = x - yr
+        f = -c - theta_hat * phibar - D_hat - phibar**2 / (2 * eps**2) - phibar**2 / (2 * eps_r**2)
+        h = -theta_hat * phibar
+        kappa = np.sqrt(1 + f**2) + (h**2 + 1) / (2 * eps_b**2)
+        assert u.item() == pytest.approx(-rho_hat * kappa * z)
+        assert theta_rate.item() == pytest.approx(Gamma * phibar * x * z)
+        assert D_rate.item() == pytest.approx(v["gamma_D"] * z**2)
+        assert rho_rate.item() == pytest.approx(v["gamma"] * v["sign_b"] * kappa * z**2)
+
+
+def test_second_order_tracking_by_hand():
+    """System (60) without adaptation of the second kind: x_1' = -theta_1 x_1 + x_2, y_r given."""
+    rng = np.random.default_rng(6)
+    model = state_feedback_controller(options=TRACKING)
+    v = random_parameters(rng, 2, 2, TRACKING)
+    c, G = v["c"], v["Gamma"]
+    e2, er2, s = v["epsilon"] ** -2, v["epsilon_r"] ** -2, v["epsilon"] ** 2 * v["delta"] ** 2
+    for _ in range(20):
+        x, theta, (yr, d1, d2) = rng.normal(size=2), rng.normal(size=2), rng.normal(size=3)
+        (u,) = numbers(
+            model, [model.output("u")], {**v, "x": x, "theta_hat": theta, "yr": [yr, d1, d2]}
+        )
+        # alpha_1 = -a z_1 + theta_1 x_1, as w_1 = (-x_1, 0) = (-1, 0) z_1 + (-1, 0) y_r
+        a = c[0] + (e2 + s + er2) / 2
+        z1 = x[0] - yr
+        z2 = x[1] - d1 - (-a * z1 + theta[0] * x[0])
+        dx, dyr, dtheta = -a + theta[0], a, np.array([x[0], 0.0])
+        w1 = np.array([-x[0], 0.0])
+        w2 = np.array([0.0, -x[0]]) - dx * w1
+        tau = w1 * z1 + w2 * z2
+        # Columns of w_2: x_1 = z_1 + y_r alone enters.
+        column = np.array([dx, -1.0])
+        g12, g22 = column @ np.array([-1.0, 0.0]), column @ column
+        zeta = -(e2 + er2) * (g12 * z1 + g22 * z2 / 2) - s * z2 / 2
+        alpha = -z1 - c[1] * z2 + dx * x[1] + dyr * d1 - w2 @ theta + dtheta @ G @ tau + zeta
+        assert u.item() == pytest.approx(alpha + d2, rel=1e-10)
+
+
+def test_without_options_the_law_is_the_paper_s():
+    """A reference of 0, a radius held at epsilon^2 delta^2/2: the same control."""
+    rng = np.random.default_rng(7)
+    phibar = random_phibar(rng, 3, 2)
+    plain = random_parameters(rng, 3, 2, Options())
+    state = {"x": rng.normal(size=3), "theta_hat": rng.normal(size=2)}
+    model = state_feedback_controller(phibar)
+    (expected,) = numbers(model, [model.output("u")], {**plain, **state})
+    model = state_feedback_controller(phibar, options=TRACKING)
+    values = {**plain, **state, "epsilon_r": 1e9, "yr": np.zeros(4)}
+    assert numbers(model, [model.output("u")], values)[0] == pytest.approx(expected)
+    model = state_feedback_controller(phibar, options=RADIUS)
+    D = plain["epsilon"] ** 2 * plain["delta"] ** 2 / 2
+    values = {**plain, **state, "gamma_D": 1e-12, "D_hat": D}
+    assert numbers(model, [model.output("u")], values)[0] == pytest.approx(expected, rel=1e-6)
+
+
+def test_derivation_at_order_4_of_4_parameters():
+    for options in EVERY:
+        rng = np.random.default_rng(8)
+        model = state_feedback_controller(random_phibar(rng, 4, 4), robust, options)
+        assert model.output("u").numel() == 1
+
+
+# Output feedback: tracking, unknown radius.
+
+
+OUTPUT = [TRACKING, RADIUS, Options(tracking=True, unknown_radius=True)]
+
+
+def random_output_loop(seed, n, m, options, adaptation=gradient, **parameters):
+    values = random_output_feedback_parameters(np.random.default_rng(seed), n, m)
+    if options.unknown_radius:
+        for name in ("delta", "delta_1", "corrected"):
+            del values[name]
+        values["gamma_D"] = 1.3
+    elif options.tracking:
+        values["q"] = 0.7
+    controller = output_feedback_controller(n, m, adaptation, options=options)
+    return close(observer_form_plant(n, m), controller, values | parameters)
+
+
+@pytest.mark.parametrize("options", OUTPUT, ids=named)
+@pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2)])
+def test_the_claim_holds_for_output_feedback(n, m, options):
+    for sign, parameters in ((1.0, {}), (-1.0, {"sigma": 0.3})):
+        law = robust if parameters else gradient
+        loop = random_output_loop(n + m, n, m, options, law, sign_b_m=sign, **parameters)
+        finding = output_feedback_certificate(loop).search(120, ascents=2)
+        assert not finding.violated, (finding.margin, finding.state)
+        assert finding.resolved > 10
+
+
+def output_violated(loop):
+    return output_feedback_certificate(loop).search(300, ascents=5).violated
+
+
+@pytest.mark.parametrize(("n", "m"), [(2, 0), (3, 1)])
+def test_output_feedback_without_the_share_of_the_reference_fails(monkeypatch, n, m):
+    """The damping without its factor 1 + q; of first order the rest of the law is enough."""
+    damping = output_feedback._damping
+    monkeypatch.setattr(
+        output_feedback,
+        "_damping",
+        lambda design: damping(design) / (1 + design.symbols.q.symbol),
+    )
+    assert output_violated(random_output_loop(n + m, n, m, TRACKING, q=3.0))
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (3, 1)])
+def test_output_feedback_needs_the_reference_in_the_law_of_rho_hat(monkeypatch, n, m):
+    """rho_hat' = -gamma sgn(b_m) alphabar_1 z_1, as without a reference."""
+
+    def rate(design):
+        symbols, law = design.symbols, design.rho_adaptation
+        regressor = -symbols.sign_b_m.symbol * design.alphabar_1
+        return symbols.gamma.symbol * law.rate(regressor * symbols.z_1)
+
+    monkeypatch.setattr(output_feedback, "_rho_hat_rate", rate)
+    assert output_violated(random_output_loop(n + m, n, m, TRACKING))
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (3, 1)])
+def test_output_feedback_without_an_estimate_of_the_radius_fails(monkeypatch, n, m):
+    monkeypatch.setattr(
+        output_feedback.OutputFeedbackDesign, "D_hat_rate", property(lambda design: ca.SX(0))
+    )
+    assert output_violated(random_output_loop(n + m, n, m, RADIUS))
+
+
+def test_first_order_output_feedback_by_hand():
+    """n = 1, m = 0: y' = b u - a y, where xi_2 and row 2 of Omega are 0."""
+    rng, options = np.random.default_rng(4), OUTPUT[-1]
+    model = output_feedback_controller(1, 0, options=options)
+    loop = random_output_loop(4, 1, 0, options)
+    v = loop.values
+    for _ in range(20):
+        y, rho_hat, D_hat, eta, lam, yr, dyr = rng.normal(size=7)
+        theta_hat = rng.normal(size=2)
+        state = {"theta_hat": theta_hat, "rho_hat": rho_hat, "D_hat": D_hat}
+        values = {**v, **state, "eta": eta, "lambda": lam, "y": y, "yr": [yr, dyr]}
+        (u, *rates) = numbers(
+            model, [model.output("u"), *(s.rate for s in model.states[:3])], values
+        )
+        z = y - yr
+        alphabar = -(v["c"] + v["d"] + D_hat).item() * z + y * theta_hat[1]
+        assert u.item() == pytest.approx(rho_hat * (alphabar + dyr))
+        assert rates[0].ravel() == pytest.approx(v["Gamma"] @ [0, -y * z])
+        expected = -v["gamma"].item() * v["sign_b_m"].item() * (alphabar + dyr) * z
+        assert rates[1].item() == pytest.approx(expected)
+        assert rates[2].item() == pytest.approx(v["gamma_D"].item() * z**2)
+
+
+def test_output_feedback_refuses_a_varying_gain():
+    with pytest.raises(InvalidInput, match="gain = 'varying' has no certificate in output"):
+        output_feedback_controller(2, 0, options=GAIN)
+
+
+# Nonlinear regressors.
+
+
+def test_hadamard_factors_are_exact_for_polynomials():
+    found = regressors_of(Nonlinear((("x[1]**3 - 2*x[1]",),)))
+    assert found.nodes == 2
+    x = ca.SX.sym("x")
+    (factor,) = found.factors(x)
+    value = ca.Function("f", [x], [factor])(1.7)
+    assert float(value) == pytest.approx(1.7**2 - 2)
+    assert regressors_of(SMOOTH).nodes > 2
+    assert hadamard_defect(regressors_of(SMOOTH))[1] < 1e-9
+
+
+def test_linear_formulas_are_the_linear_plant():
+    text = Nonlinear((("-x[1]", "0"), ("0", "-x[1]")))
+    rng = np.random.default_rng(0)
+    parameters = random_parameters(rng, 2, 2, Options())
+    one, other = (closed(r, parameters, Options()) for r in (text, state_feedback.SYSTEM_60))
+    X, theta = rng.normal(size=4), rng.normal(size=2)
+    assert one.function(X, theta) == pytest.approx(other.function(X, theta))
+
+
+REFUSED = {
+    "x[2]": r"'x\[2\]' holds x\[2\]; valid: x\[1\] to x\[1\]",
+    "1 + x[1]": r"phi_1 = 1 \+ x\[1\] is 1 at x = 0; valid: 0 there",
+    "cos(x[1])": "is 1 at x = 0",
+    "log(x[1])": "at x = 0",
+    "abs(x[1])": "holds abs, which is not smooth",
+    "sqrt(x[1]**2)": "has no derivative at x = 0",
+    "x[1]**0.5": "has no derivative at x = 0",
+    "tanh(500*x[1])": "misses its Hadamard factor",
+    "sine(x[1])": "'sine'; did you mean 'sin'",
+    "y*x[1]": r"holds 'y'; valid: x\[1\] .. x\[1\] and pi",
+    "x[1]^2": r"write a power with \*\*",
+    "x[1] +": "is no formula",
+    "__import__('os').system('ls')": "is no formula",
+    "sin(x[1], 2)": "sin takes one argument",
+    "True*x[1]": "is no formula",
+    "1e999*x[1]": "a number that is not finite",
+    "(" * 3000: "3000 characters",
+}
+
+
+@pytest.mark.parametrize(("text", "message"), REFUSED.items(), ids=[k[:20] for k in REFUSED])
+def test_formulas_that_are_refused(text, message):
+    with pytest.raises(InvalidInput, match=message):
+        regressors_of(Nonlinear(((text,),)))

@@ -1,0 +1,163 @@
+"""The laws beyond the paper as built FMUs: their loops agree with the monolithic solution."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+import congelation as cg
+from congelation.errors import InvalidInput
+from congelation.export.spec import read_spec
+from congelation.verify.certify import Verdict, certify
+from tests.scenarios import FMUS, ROOT
+
+LAWS = {
+    "Tracking": {"yr[0]": 1.0},
+    "VaryingGain": {},
+    "UnknownRadius": {},
+    "Nonlinear": {},
+}
+
+
+def system(plant: str, controller: str, start: dict[str, object]) -> cg.System:
+    links = cg.Connection("plant.x", "law.x"), cg.Connection("law.u", "plant.u")
+    components = (
+        cg.Component("plant", FMUS / f"{plant}.fmu"),
+        cg.Component("law", FMUS / f"{controller}.fmu", start),
+    )
+    return cg.System(components, links)
+
+
+def deviation(found: cg.System, stop: float = 1.5) -> float:
+    result = cg.simulate(found, stop_time=stop, tolerance=1e-7, coupling="hermite", step=1e-3)
+    assert result.status.name == "COMPLETED", result.message
+    return max(entry.relative for entry in cg.verify(found, result))
+
+
+@pytest.mark.parametrize(("law", "start"), LAWS.items(), ids=LAWS)
+def test_a_law_as_fmus_agrees_with_the_monolithic_solution(law: str, start: dict) -> None:
+    assert deviation(system(f"{law}Plant", f"{law}Controller", start)) < 1e-5
+
+
+def test_a_plant_goes_with_every_law_of_its_system() -> None:
+    found = system("StrictFeedbackPlant", "UnknownRadiusController", {})
+    assert deviation(found, 0.3) < 1e-5
+
+
+def test_a_plant_and_a_law_of_different_systems_are_told_apart() -> None:
+    with pytest.raises(InvalidInput, match="different systems"):
+        deviation(system("VaryingGainPlant", "UnknownRadiusController", {}), 0.01)
+
+
+@pytest.mark.slow
+def test_output_feedback_that_tracks_with_an_unknown_radius(tmp_path: Path) -> None:
+    plant, controller = cg.build(ROOT / "specs" / "tracking_output.toml", out=tmp_path)
+    links = (
+        cg.Connection("plant.y", "law.y"),
+        cg.Connection("law.u", "plant.u"),
+        cg.Connection("reference.yr", "law.yr"),
+    )
+    components = (
+        cg.Component("plant", plant),
+        cg.Component("law", controller),
+        cg.Component("reference", FMUS / "Reference.fmu", {"amplitude": [1, 0.3]}),
+    )
+    assert deviation(cg.System(components, links), 1.0) < 1e-5
+
+
+def tracking(folder: Path, *changes: tuple[str, str]) -> Path:
+    """The scenario over 1 s."""
+    text = (ROOT / "scenarios" / "tracking.toml").read_text()
+    for old, new in (("stop_time = 20.0", "stop_time = 1.0"), *changes):
+        assert old in text
+        text = text.replace(old, new)
+    file = folder / "scenario.toml"
+    file.write_text(text)
+    return file
+
+
+@pytest.mark.slow
+def test_tracking_keeps_to_its_bound_along_a_run(tmp_path: Path) -> None:
+    """V' at every point, and the mean of the error; with a reference that jumps, too."""
+    results = cg.run(tracking(tmp_path), out=tmp_path / "out", verify=True)
+    for run in results.runs:
+        assert max(run.deviations.values()) < 2e-5
+        if run.variant == "Controller 2":  # its damping is left out
+            assert run.metrics["margin"] > 1e-3
+        else:
+            assert run.metrics["margin"] < 1e-9
+            assert run.metrics["share"] < 1.0
+
+
+def test_a_scenario_with_a_reference_is_certified(tmp_path: Path) -> None:
+    found = {c.design.name: c.verdict for c in certify(tracking(tmp_path), samples=50)}
+    assert found.pop("Controller 2") is Verdict.VIOLATED
+    assert set(found.values()) == {Verdict.HOLDS}
+
+
+def test_a_reference_with_too_few_derivatives_is_refused(tmp_path: Path) -> None:
+    spec = tmp_path / "short.toml"
+    spec.write_text('form = "reference"\nstructure = {n = 1}\n[block]\nname = "Short"\n')
+    cg.build(spec, out=tmp_path)
+    change = ('fmu = "Reference"', f'fmu = "{tmp_path / "Short.fmu"}"')
+    with pytest.raises(InvalidInput, match="2 outputs for 3 inputs") as caught:
+        cg.load_scenario(tracking(tmp_path, change))
+    assert "\n" not in str(caught.value)
+
+
+SPEC = (ROOT / "specs" / "varying_gain.toml").read_text()
+
+
+def changed(folder: Path, old: str, new: str, text: str = SPEC) -> Path:
+    assert old in text
+    file = folder / "spec.toml"
+    file.write_text(text.replace(old, new))
+    return file
+
+
+BROKEN = {
+    "a gain that crosses 0": (
+        "{constant = 1},",
+        "{constant = 0.5},",
+        r"b\(t\) is between -0.4 and 1.4, and so may be 0",
+    ),
+    "the other sign": ("sign_b = 1, rho_hat0 = 1", "sign_b = -1", r"give sign_b = 1"),
+    "an estimate of the other sign": ("rho_hat0 = 1", "rho_hat0 = -1", "rho_hat0 = 0"),
+    "a radius that is too small": ("delta = 1.4142", "delta = 1.2142", r"radius of the box"),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "message"), BROKEN.values(), ids=BROKEN)
+def test_broken_assumptions(tmp_path: Path, old: str, new: str, message: str) -> None:
+    (found,) = certify(changed(tmp_path, old, new), samples=10)
+    assert found.verdict is Verdict.ASSUMPTION_BROKEN
+    assert any(re.search(message, reason) for reason in found.reasons)
+
+
+MISTAKES = {
+    "delta given and estimated": (
+        'gain = "varying"',
+        'gain = "varying"\nradius = "estimated"',
+        r"controller\.start\.delta is given, while radius = .estimated.",
+    ),
+    "phi and phibar": (
+        'gain = "varying"',
+        'phi = {1 = ["x[1]", "0"]}',
+        "phibar and phi are two ways",
+    ),
+    "no number of formulas": (
+        'phibar = {"1,1" = [-1, 0], "2,1" = [0, -1]}',
+        'phi = {1 = ["x[1]"]}',
+        r"structure\.phi\.1.*2 formulas",
+    ),
+    "a gain of another kind": ('gain = "varying"', 'gain = "fast"', "gain"),
+}
+
+
+@pytest.mark.parametrize(("old", "new", "message"), MISTAKES.values(), ids=MISTAKES)
+def test_one_line_says_what_is_wrong(tmp_path: Path, old: str, new: str, message: str) -> None:
+    with pytest.raises(InvalidInput, match=message) as caught:
+        read_spec(changed(tmp_path, old, new))
+    assert "\n" not in str(caught.value)
