@@ -165,6 +165,12 @@ def tune(
     ------
     InvalidInput
         If the spec or a wish is not valid, or the directory holds another search.
+
+    Examples
+    --------
+    >>> tuning = cg.tune("specs/scalar.toml", evaluations=8, stop_time=5.0)
+    >>> all(proposal.certified for proposal in tuning.front)
+    True
     """
     spec = Path(spec)
     bench = Bench(spec, below, stop_time)
