@@ -55,10 +55,14 @@ MOST_STEPS = 40_000
 INFEASIBLE = "INFEASIBLE"
 """Status of a candidate that cannot be solved."""
 
+EXTENDED = "settling_extended"
+"""Metric of a stored candidate: the settling time that the search sees, `Bench.solve`."""
+
 _MEASURED = {
     "settling": ("settling_time", "plant.x", "s"),
     "effort": ("ise", "controller.u", ""),
     "peak_input": ("peak", "controller.u", ""),
+    EXTENDED: ("settling_time", "plant.x", "s"),
 }
 
 
@@ -113,7 +117,11 @@ class Bench:
         return close(self.spec.plant.model, model, {**model.defaults(), **self.values(vector)})
 
     def solve(self, vector: Floats) -> tuple[float, ...] | None:
-        """The objectives of a candidate; None where it does not exist or is too stiff."""
+        """The objectives of a candidate; None where it does not exist or is too stiff.
+
+        Where |x| has not settled by the stop time, the settling time is that time, extended by the
+        logarithm of what is left, so that the search sees which of two candidates is nearer.
+        """
         try:
             loop = self.loop(vector)
             shooting = Shooting(loop, loop.bound_signal("controller.u"), rtol=1e-6, atol=1e-8)
@@ -124,7 +132,7 @@ class Bench:
             return None
         x = path.states[:, : len(self.spec.plant.model.states[0].variables.names)]
         settling, *others = self._objectives(path.time, x, path.integral, path.peak)
-        if math.isinf(settling):  # so that the search sees which of two is nearer
+        if math.isinf(settling):
             end = float(np.linalg.norm(x[-1]))
             settling = self.stop * (1.0 + math.log(max(end / self.below, 1.0)))
         return settling, *others
@@ -250,7 +258,12 @@ class Candidates:
         self, run_id: str, number: int, vector: Vector, objectives: Vector | None
     ) -> RunRecord:
         status = Status.COMPLETED.name if objectives is not None else INFEASIBLE
-        values = objectives if objectives is not None else (None,) * len(OBJECTIVES)
+        metrics: dict[str, float | None] = dict.fromkeys(_MEASURED)
+        if objectives is not None:
+            metrics |= zip(OBJECTIVES, objectives, strict=True)
+            metrics[EXTENDED] = objectives[0]
+            if objectives[0] > self.bench.stop:
+                metrics["settling"] = math.inf
         return RunRecord(
             run_id=run_id,
             study=self._study,
@@ -259,7 +272,7 @@ class Candidates:
             settings=self.bench.settings(np.array(vector)),
             status=status,
             message="" if objectives is not None else "there is no such design, or it is too stiff",
-            metrics=dict(zip(OBJECTIVES, values, strict=True)),
+            metrics=metrics,
             code_version=code_version(),
             numerics_version=NUMERICS_VERSION,
         )
@@ -276,14 +289,14 @@ class Candidates:
         store.begin(self._study, self._about())
         for row in store.rows(self._study):
             record = RunRecord.of(row)
-            values = [record.metrics[name] for name in OBJECTIVES]
+            values = [record.metrics[name] for name in (EXTENDED, *OBJECTIVES[1:])]
             solved = record.status == Status.COMPLETED.name
             self._known[record.run_id] = tuple(v or 0.0 for v in values) if solved else None
         return store
 
     def _about(self) -> Mapping[str, Any]:
         """How to read the rows, as of a sweep."""
-        metrics = {
+        metrics: dict[str, dict[str, Any]] = {
             name: {
                 "metric": kind,
                 "of": of,
@@ -293,6 +306,7 @@ class Candidates:
             }
             for name, (kind, of, unit) in _MEASURED.items()
         }
+        metrics[EXTENDED]["definition"] += "; if never, the stop time times 1 + ln(|x| / below)"
         return {
             "title": f"{self.bench.spec.title}: designs tried",
             "scenario_file": self.bench.file.name,

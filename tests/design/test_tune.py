@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sqlite3
 from pathlib import Path
 
@@ -45,6 +46,11 @@ def test_a_search_goes_on_from_its_result_directory(tmp_path: Path) -> None:
     runs = open_results(tmp_path / "tried").runs
     assert len(runs) == whole.evaluations
     assert {"set.controller.c[1]", "set.controller.Gamma[1,1]", "metric.effort"} <= {*runs.columns}
+    assert all(
+        run.metrics["settling"] <= 5.0 or run.metrics["settling"] == math.inf
+        for run in runs
+        if run.status == "COMPLETED"
+    )
     with pytest.raises(InvalidInput, match="--resume"):
         tune(SPEC, **options)
     with sqlite3.connect(tmp_path / "tried" / "runs.sqlite") as database:  # as if killed early
