@@ -207,16 +207,15 @@ def marks(found: TransferFunction) -> dict[str, str]:
     profile = []
     for j, (low, high) in enumerate([*found.b, *found.a]):
         middle, half = (low + high) / 2, (high - low) / 2
-        terms = [f"{{constant = {middle!r}}}"]
+        terms = [f"{{constant = {middle:.12g}}}"]
         note = f"{names[j]} = {_shown((low, high))}"
         if half and j <= m:
             note = f"{names[j]} in [{low:g}, {high:g}], constant and not known"
         elif half:
             note = f"{names[j]}(t) in [{low:g}, {high:g}]"
             period = PERIODS[(j - m - 1) % len(PERIODS)]
-            terms.append(f"{{square = {{amplitude = {half!r}, period = {period}}}}}")
+            terms.append(f"{{square = {{amplitude = {half:.12g}, period = {period}}}}}")
         profile.append(f'"theta[{j + 1}]" = [{", ".join(terms)}]   # {note}')
-    lead, sign = found.b[0], math.copysign(1.0, found.b[0][0])
     return {
         "@N@": str(n),
         "@M@": str(m),
@@ -225,13 +224,15 @@ def marks(found: TransferFunction) -> dict[str, str]:
         "@C@": str([1.0] * rho),
         "@D@": str([0.5] * rho),
         "@R@": f"{r:.4g}",
-        "@DELTA@": f"{_up(found.delta)!r}",
-        "@DELTA_1@": f"{found.delta_1!r}",
-        "@SIGN@": f"{sign:g}",
-        "@RHO0@": f"{2.0 / (lead[0] + lead[1]):.4g}",
+        "@DELTA@": _up(found.delta),
+        "@DELTA_1@": _up(found.delta_1),
+        "@SIGN@": f"{math.copysign(1.0, found.b[0][0]):g}",
     }
 
 
-def _up(value: float) -> float:
-    """`value`, no smaller in four digits or so: the radius of the box has to hold the box."""
-    return math.nextafter(value, math.inf) if value else 0.0
+def _up(value: float) -> str:
+    """`value` in six digits, not rounded down: the radius of a box has to hold the box."""
+    if value == 0.0:
+        return "0"
+    unit = 10.0 ** (math.floor(math.log10(value)) - 5)
+    return f"{math.ceil(value / unit - 1e-6) * unit:.6g}"
