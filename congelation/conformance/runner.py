@@ -111,6 +111,11 @@ def check(
     ------
     InvalidInput
         A path does not exist, a rule is not known, or the file of known findings is wrong.
+
+    Examples
+    --------
+    >>> cg.check(["fmus/ScalarPlant.fmu"], static=True).failures()
+    ()
     """
     chosen = select(rules) or RULES
     files = [Path(path) for path in paths]

@@ -187,6 +187,12 @@ def tune(
     ------
     InvalidInput
         If the spec or a wish is not valid, or the journal is of another search.
+
+    Examples
+    --------
+    >>> tuning = cg.tune("specs/scalar.toml", evaluations=8, stop_time=5.0)
+    >>> all(proposal.certified for proposal in tuning.front)
+    True
     """
     spec = Path(spec)
     bench = _Bench(spec, below, stop_time)

@@ -127,6 +127,12 @@ class Spec:
     form, structure
         What the models are derived from; see `congelation.export.forms`.
     plant, controller : FmuSpec
+
+    Examples
+    --------
+    >>> spec = cg.Spec.read("specs/scalar.toml")
+    >>> [fmu.name for fmu in spec.fmus]
+    ['ScalarPlant', 'ScalarController']
     """
 
     name: str
@@ -135,6 +141,11 @@ class Spec:
     structure: Structure
     plant: FmuSpec
     controller: FmuSpec
+
+    @classmethod
+    def read(cls, file: Path | str) -> Spec:
+        """The spec that a file holds; `InvalidInput` says what is wrong in it."""
+        return read_spec(Path(file))
 
     @property
     def fmus(self) -> tuple[FmuSpec, ...]:

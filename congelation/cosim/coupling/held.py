@@ -33,6 +33,12 @@ class Jacobi(Coupling):
 
     Order 1. It is what most co-simulation engines do, and what a sampled controller with a delay
     of one sample sees.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> cg.simulate(system, stop_time=0.5, step=0.05, coupling=cg.Jacobi()).status.name
+    'COMPLETED'
     """
 
     name: ClassVar[str] = "jacobi"
@@ -55,10 +61,14 @@ class Jacobi(Coupling):
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
     ) -> Stepper[None]:
         """This coupling at work."""
-        return _JacobiStepper(ensemble)
+        return JacobiStepper(ensemble)
 
 
-class _JacobiStepper(Stepper[None]):
+class JacobiStepper(Stepper[None]):
+    """`jacobi` at work."""
+
+    sequential = False
+
     def __init__(self, ensemble: Ensemble) -> None:
         slaves = range(len(ensemble.slaves))
         self._ensemble = ensemble
@@ -100,6 +110,12 @@ class GaussSeidel(Coupling):
     from itself and the ones after it.
 
     Order 1, with a smaller error than `jacobi`.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> cg.simulate(system, stop_time=0.5, step=0.05, coupling=cg.GaussSeidel()).status.name
+    'COMPLETED'
     """
 
     name: ClassVar[str] = "gauss_seidel"
@@ -122,10 +138,14 @@ class GaussSeidel(Coupling):
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
     ) -> Stepper[None]:
         """This coupling at work."""
-        return _GaussSeidelStepper(ensemble)
+        return GaussSeidelStepper(ensemble)
 
 
-class _GaussSeidelStepper(Stepper[None]):
+class GaussSeidelStepper(Stepper[None]):
+    """`gauss_seidel` at work."""
+
+    sequential = True
+
     def __init__(self, ensemble: Ensemble) -> None:
         self._ensemble = ensemble
         self._Y, self._source = ensemble.Y, ensemble.source
@@ -173,6 +193,13 @@ class Sampled(Coupling):
     delay : int
         0: at a sampling instant outputs that follow directly from inputs are computed with the new
         samples, so that a controller acts on them at once. 1: they act one sample later.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> sampled = cg.Sampled(sample_time=0.1)
+    >>> cg.simulate(system, stop_time=0.5, step=0.05, coupling=sampled).status.name
+    'COMPLETED'
     """
 
     sample_time: float
