@@ -268,19 +268,20 @@ congelation.study = (() => {
   function open(k) {
     const id = study.run_id[k];
     each("#runs tbody tr", (row) => row.classList.toggle("chosen", row.dataset.run === id));
+    const here = study.embedded.includes(id);
     const settings = study.axes.map((a) => `${name(a)} = ${text(a, columns[a][k])}`).join(", ");
     document.getElementById("picked").textContent =
       `Run ${id}: ${cells.variant(k)}${settings ? `, ${settings}` : ""}; ${study.status[k]}. `
       + (study.message[k] ?? "")
-      + (study.embedded.includes(id) ? ""
+      + (here ? ""
         : study.stored ? ` Its trajectory is not in this page: trajectories/${id}.parquet.`
         : " No trajectories were kept; trajectories = true in [sweep] keeps them.");
-    for (const found of congelation.bokeh()._all_models.values()) {
+    for (const found of here ? congelation.bokeh()._all_models.values() : []) {
       const tag = found.type === "GlyphRenderer" && found.tags.find((t) => t.startsWith("run "));
       if (tag) found.visible = tag === `run ${id}`;
     }
     each("#trajectories tr[data-run]", (row) => { row.hidden = row.dataset.run !== id; });
-    document.getElementById("trajectories").hidden = !study.embedded.includes(id);
+    document.getElementById("trajectories").hidden = !here;
     document.getElementById("picked").scrollIntoView({block: "nearest"});
   }
   function pick(source) {
