@@ -50,11 +50,14 @@ demo: fmus
 	@$(BIN)/congelation report results/rivals --html results/rivals/report.html
 	@$(BIN)/python -m congelation.report.index results
 
+# Three processes on two cores, as tests that wait for processes leave one idle; the longest files first.
+PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+
 test: fmus .venv-cofmupy/installed
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(PYTEST)
 
 test-fast: fmus
-	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+	$(PYTEST) -m "not slow"
 
 fuzz: fmus
 	$(BIN)/python -m pytest -m fuzz --hypothesis-profile=fuzz
