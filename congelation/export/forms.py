@@ -15,9 +15,10 @@ from congelation.theory.kfilter import FilterFactory, iss_filter, standard_filte
 from congelation.theory.matching import matched_controller, matched_plant
 from congelation.theory.model import Model
 from congelation.theory.observer_form import observer_form_plant
+from congelation.theory.options import Options
 from congelation.theory.output_feedback import output_feedback_controller
 from congelation.theory.scalar import scalar_controller, scalar_plant
-from congelation.theory.state_feedback import Options, state_feedback_controller
+from congelation.theory.state_feedback import state_feedback_controller
 from congelation.theory.strict_feedback import Nonlinear, Regressors, strict_feedback_plant
 
 __all__ = ["BLOCKS", "FORMS", "BlockForm", "Form", "Structure", "fit", "models_of"]
@@ -146,10 +147,13 @@ FORMS: Mapping[str, Form] = {
         ("tracking", "radius"),
     ),
     "observer": Form(
-        ("n", "m", "filter"),
+        ("n", "m", "filter", "tracking", "radius", "gain"),
         lambda s: observer_form_plant(_order(s, "n"), _order(s, "m")),
-        lambda s, law: output_feedback_controller(_order(s, "n"), _order(s, "m"), law, _filter(s)),
-        {"filter": "iss"},
+        lambda s, law: output_feedback_controller(
+            _order(s, "n"), _order(s, "m"), law, _filter(s), _options(s)
+        ),
+        {"filter": "iss", "tracking": None, "radius": None, "gain": None},
+        ("filter", "tracking", "radius"),
     ),
 }
 

@@ -1,13 +1,12 @@
 """Adaptive backstepping by state feedback with congealed parameters (Sec. III), any n and p.
 
-One recursion serves the paper's law and what goes beyond it. `Options` name what a law copes with:
-each adds rows to the regressor, or damping, and none replaces the recursion. Sections that are
-named by words are those of docs/theory.md.
+One recursion serves the paper's law and what goes beyond it, see `Options`: each option adds rows
+to the regressor, or damping, and none replaces the recursion (docs/theory.md, "Beyond the paper").
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -27,37 +26,17 @@ from congelation.theory.model import (
     scalar,
     vector,
 )
+from congelation.theory.options import Options, reference_input
 from congelation.theory.strict_feedback import SYSTEM_60, Regressors, regressors_of
 
 __all__ = [
-    "Options",
     "StateFeedbackDesign",
     "StateFeedbackStep",
     "StateFeedbackSymbols",
-    "reference_input",
     "state_feedback_controller",
     "state_feedback_design",
     "state_feedback_model",
 ]
-
-
-@dataclass(frozen=True)
-class Options:
-    """What a state feedback law copes with, beyond the parameters theta(t) of the paper.
-
-    Attributes
-    ----------
-    tracking : bool
-        x_1 follows a reference y_r, whose derivatives up to order n are inputs.
-    varying_gain : bool
-        The plant's input gain b(t) is unknown and varies; its sign is known.
-    unknown_radius : bool
-        The radius delta is not known; epsilon^2 delta^2 / 2 is estimated.
-    """
-
-    tracking: bool = False
-    varying_gain: bool = False
-    unknown_radius: bool = False
 
 
 @dataclass(frozen=True)
@@ -256,12 +235,6 @@ class StateFeedbackDesign:
     def theta_hat_rate(self) -> ca.SX:
         """theta_hat' of (19)."""
         return self.estimate_rates[0]
-
-
-def reference_input(n: int) -> Input:
-    """The input yr[0] .. yr[n]: a reference and its derivatives up to order n."""
-    about = "Reference y_r and its derivatives y_r^(j)"
-    return Input.of(Variables("yr", ca.SX.sym("yr", n + 1), about, first=0))
 
 
 def state_feedback_design(
@@ -489,8 +462,7 @@ def state_feedback_model(design: StateFeedbackDesign) -> Model:
     )
     laws = (design.adaptation, design.rho_adaptation)
     estimates = [v for v in (symbols.theta_hat, symbols.D_hat, symbols.rho_hat) if v is not None]
-    named = [f.name.replace("_", " ") for f in fields(options) if getattr(options, f.name)]
-    also = f" ({', '.join(named)})" if named else ""
+    also = f" ({options})" if str(options) else ""
     return Model(
         name="StateFeedbackController",
         description=f"State feedback controller (19) for the plant (9), n = {n}, p = {p}{also}",
