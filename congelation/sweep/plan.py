@@ -30,13 +30,13 @@ from congelation.results.identity import (
     text_of,
 )
 from congelation.results.provenance import about
-from congelation.results.record import RunRecord
+from congelation.results.record import Outcome, RunRecord
 from congelation.results.store import Store
 from congelation.scenario.axes import Sweep
 from congelation.scenario.metrics import metric
 from congelation.scenario.parts import EXPERIMENT, Case, Scalar, Settings
 from congelation.scenario.scenario import Scenario
-from congelation.sweep.execute import ERROR, REFUSED, TIMED_OUT, WORKER_DIED, Job, Outcome, Task
+from congelation.sweep.execute import ERROR, REFUSED, TIMED_OUT, WORKER_DIED, Job, Task
 
 __all__ = ["FAILURES", "Plan", "plan_study", "varied_settings"]
 
