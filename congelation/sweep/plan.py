@@ -157,17 +157,7 @@ def plan_study(
     if swept and scenario.sweep is None:
         raise InvalidInput(f"{scenario.place}: no [sweep]; give its axes, or use: congelation run")
     store = Store(folder)
-    done = store.count()
-    if swept and done and not resume:
-        raise InvalidInput(
-            f"{folder} holds {done} finished runs; give --resume to go on, or another --out"
-        )
-    if done and not swept and (title := store.about().get("title")) != scenario.title:
-        raise InvalidInput(
-            f"{folder} holds runs of another scenario, '{title}'; give another --out"
-        )
-    if done and not swept and store.about()["swept"]:
-        raise InvalidInput(f"{folder} holds a sweep; give another --out")
+    _refuse_other_runs(store, scenario, swept, resume)
     scenario = _complete(scenario)
     identity = _Identity(scenario)
     if write:
@@ -206,6 +196,27 @@ def plan_study(
     return Plan(
         scenario, store, job, found.total, found.missing, found.others, found.versions, base
     )
+
+
+def _refuse_other_runs(store: Store, scenario: Scenario, swept: bool, resume: bool) -> None:
+    """Raise InvalidInput where the directory has runs that the study may not be put beside."""
+    done = store.count()
+    if not done:
+        return
+    if swept:
+        if not resume:
+            raise InvalidInput(
+                f"{store.root} holds {done} finished runs; give --resume to go on, or another --out"
+            )
+        return
+    newest = store.about()
+    if newest.get("title") != scenario.title:
+        raise InvalidInput(
+            f"{store.root} holds runs of another scenario, '{newest.get('title')}'; "
+            "give another --out"
+        )
+    if newest["swept"]:
+        raise InvalidInput(f"{store.root} holds a sweep; give another --out")
 
 
 def varied_settings(scenario: Scenario, swept: bool) -> tuple[str, ...]:
