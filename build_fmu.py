@@ -35,6 +35,8 @@ STANDARD = (
     "varying_gain",
     "unknown_radius",
     "nonlinear",
+    "bound_estimator",
+    "filtered_transformation",
 )
 
 

@@ -271,6 +271,13 @@ STRUCTURE = Table(
             "known",
             choices=("known", "estimated"),
         ),
+        Key(
+            "law",
+            "text",
+            "the controller: that of the paper, or a rival of it",
+            "congelation",
+            choices=("congelation", "bound-estimator", "filtered-transformation"),
+        ),
         Key("A", "matrix", "of x' = A x + B (u + theta^T x)"),
         Key("B", "matrix", "of x' = A x + B (u + theta^T x)"),
         Key("size", "integer", "number of signals of a block", 1, least=1, most=LARGEST_ORDER),

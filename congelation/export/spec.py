@@ -29,8 +29,10 @@ The forms and the keys of their structure:
     strict-feedback    n, p, phibar: (9), a table of the rows phibar_{i,j} that are not 0;
                        or phi: formulas, {1 = ["x[1]**2", "sin(x[1])"]}, p in each row;
                        gain = "varying": the input gain b(t) is the last element of theta;
-                       tracking, radius = "estimated": what the law is to cope with
-    observer           n, m, filter: (27), with the "iss" or the "standard" K-filter
+                       tracking, radius = "estimated": what the law is to cope with;
+                       law = "bound-estimator": a rival of congelation
+    observer           n, m, filter: (27), with the "iss" or the "standard" K-filter;
+                       tracking, radius as above; law = "filtered-transformation": a rival
 
 A block to put between them, or to drive them with, is a spec of one FMU:
 
