@@ -51,6 +51,9 @@ demo: fmus
 	@$(BIN)/congelation report results/rivals
 	@$(BIN)/python -m congelation.report.index results
 
+# Three processes on two cores, as tests that wait for processes leave one idle; the longest files first.
+PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+
 # Debian's packages that tests use; a test that lacks one is skipped, and says so.
 SYSTEM_PACKAGES := chromium
 
@@ -62,10 +65,10 @@ system-packages:
 # Where the system's packages can be had, they are installed; else the tests say what they skipped.
 test: fmus .venv-cofmupy/installed
 	-@if test "$$(id -u)" = 0 && command -v apt-get >/dev/null; then $(MAKE) --no-print-directory system-packages; fi
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(PYTEST)
 
 test-fast: fmus
-	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+	$(PYTEST) -m "not slow"
 
 fuzz: fmus
 	$(BIN)/python -m pytest -m fuzz --hypothesis-profile=fuzz

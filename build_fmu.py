@@ -32,6 +32,8 @@ STANDARD = (
     "saturation",
     "lag",
     "delay",
+    "active_suspension",
+    "stable_zero3",
     "tracking",
     "varying_gain",
     "unknown_radius",

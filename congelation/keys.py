@@ -238,6 +238,14 @@ SCENARIO = Table(
     ),
 )
 
+TRANSFER = Table(
+    "A transfer function with intervals, for `congelation new --from`.",
+    (
+        Key("numerator", "values", "b_m .. b_0, each a number or [low, high]", None, True),
+        Key("denominator", "values", "1, a_(n-1) .. a_0, the same", None, True),
+    ),
+)
+
 STRUCTURE = Table(
     "What the form of a spec is derived from; each form has keys of its own.",
     (

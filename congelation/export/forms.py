@@ -207,9 +207,7 @@ BLOCKS: Mapping[str, BlockForm] = {
         {"sines": 2},
     ),
     "disturbance": _sized(disturbance, "driven"),
-    "noise": _sized(
-        noise, "driven", Slots(sines=0, squares=0, chirps=0, telegraphs=0, table=False, noises=1)
-    ),
+    "noise": _sized(noise, "driven", Slots(noises=1)),
     "saturation": _sized(saturation, "block"),
     "lag": _sized(lag, "block"),
     "delay": _sized(delay, "delay"),

@@ -313,7 +313,12 @@ def _units(section: Section, *models: Model) -> Units:
         for unit in map(str, names):
             section.attempt(name, partial(base_unit, unit or "1"))
         units[name] = value if isinstance(value, str) else [str(unit) for unit in names]
-    return {"theta_hat": units["theta"], **units} if "theta" in units else units
+    if "theta" in units and "theta_hat" in sizes:
+        # An input gain b(t) is an element of theta, but none of theta_hat.
+        shared = units["theta"]
+        own = shared if isinstance(shared, str) else shared[: sizes["theta_hat"]]
+        return {"theta_hat": own, **units}
+    return units
 
 
 def _block(section: Section, model: Model, special: Special | None) -> FmuSpec:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
@@ -71,6 +71,8 @@ class Curve:
     numbers: tuple[float, float, float, float] = field(default=(math.nan,) * 4)
     """At the start, least, largest, at the end."""
     name: str = ""
+    run: str = ""
+    """The run_id, where a page shows one run at a time."""
 
 
 @dataclass(frozen=True)
@@ -119,16 +121,26 @@ def panel_groups(columns: Sequence[str], extra: Sequence[str] = ()) -> dict[str,
 
 
 def curve_panels(
-    runs: Sequence[tuple[int, Trajectory]], extra: Sequence[str] = ()
+    runs: Sequence[tuple[int, Trajectory]],
+    extra: Sequence[str] = (),
+    run_ids: Sequence[str] = (),
 ) -> tuple[Panel, ...]:
-    """The panels of some runs, each given with the number of its variant."""
+    """The panels of some runs, each given with the number of its variant.
+
+    With `run_ids` the runs are to be shown one at a time, each by its own curves.
+    """
     columns = dict.fromkeys(column for _, run in runs for column in run.columns)
     panels = []
     for k, (title, members) in enumerate(panel_groups(tuple(columns), extra).items()):
-        found = [*_curves(runs, title, members)]
-        named = tuple(
-            Curve(**{**curve.__dict__, "name": f"c{k}.{i}"}) for i, curve in enumerate(found)
-        )
+        if run_ids:
+            found = [
+                replace(curve, run=run_id)
+                for run_id, run in zip(run_ids, runs, strict=True)
+                for curve in _curves([run], title, members)
+            ]
+        else:
+            found = [*_curves(runs, title, members)]
+        named = tuple(replace(curve, name=f"c{k}.{i}") for i, curve in enumerate(found))
         if named:
             panels.append(Panel(f"p{k}", title, named))
     return tuple(panels)
@@ -260,6 +272,9 @@ def _plot(panel: Panel, variants: Sequence[str], span: Any) -> figure:
             name=f"{curve.label}, {who}",
         )
         drawn.tags = [f"variant {curve.variant}"]  # given above, they would be the glyph's
+        if curve.run:
+            drawn.tags.append(f"run {curve.run}")
+            drawn.visible = curve.run == panel.curves[0].run  # an axis needs a curve to fit
     return plot
 
 
@@ -315,12 +330,12 @@ def _numbers(panel: Panel, variants: Sequence[str]) -> Iterator[str]:
         if several and plain_unit(curve.unit):
             name += f" [{plain_unit(curve.unit)}]"
         cells = "".join(f"<td>{escape(_short(value))}</td>" for value in curve.numbers)
+        of = f'data-run="{curve.run}" hidden' if curve.run else f'data-variant="{curve.variant}"'
         label = (
             f"{swatch(curve.variant, curve.dash)} {escape(name)}<br><small>{escape(who)}</small>"
         )
         yield (
-            f'<tr data-variant="{curve.variant}"><th scope="row">{label}</th>{cells}'
-            f'<td data-curve="{curve.name}">–</td></tr>'
+            f'<tr {of}><th scope="row">{label}</th>{cells}<td data-curve="{curve.name}">–</td></tr>'
         )
     yield "</tbody></table></div>"
 

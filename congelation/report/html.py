@@ -11,8 +11,9 @@ import numpy as np
 from congelation.report.curves import POINTS, controls, curve_panels, draw_panels
 from congelation.report.diagram import diagram
 from congelation.report.page import Drawn, lines_of, page, pairs, swatch, table
+from congelation.report.study import study_content
 from congelation.report.summary import metric_definitions, summarise
-from congelation.report.verdict import run_verdict, tiles
+from congelation.report.verdict import run_verdict, study_verdict, tiles
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 from congelation.results.store import replace_whole
@@ -33,7 +34,8 @@ def write_html(results: Results, file: Path) -> None:
     CongelationError
         If the file cannot be written.
     """
-    text = _run_page(results, results.study())
+    study = results.study()
+    text = _study_page(results, study) if study.about["swept"] else _run_page(results, study)
     replace_whole(file, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
@@ -75,6 +77,21 @@ def _run_page(results: Results, study: Study) -> str:
     pieces += provenance(study)
     state = {"variants": variants, "scales": scales}
     return page(study.about["title"], [*pieces, "</main>"], state)
+
+
+def _study_page(results: Results, study: Study) -> str:
+    content, scales, data = study_content(results, study)
+    pieces = [
+        *_head(study, study_verdict(study)),
+        *content,
+        *_definitions(study),
+        *system(study),
+        *provenance(study),
+        "</main>",
+    ]
+    variants = list(dict.fromkeys(run.variant for run in study.records))
+    state = {"variants": variants, "scales": scales, "study": data}
+    return page(study.about["title"], pieces, state, ("report.js", "study.js"))
 
 
 def _head(study: Study, verdict: Iterator[str]) -> Iterator[str]:

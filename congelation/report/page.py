@@ -78,6 +78,8 @@ def page(
     from bokeh.models import CustomJS
     from bokeh.resources import Resources
 
+    if not any(isinstance(piece, Drawn) for piece in pieces):
+        return plain_page(title, [piece for piece in pieces if isinstance(piece, str)])
     document = Document()
     for piece in pieces:
         if isinstance(piece, Drawn):

@@ -135,28 +135,27 @@ def study_verdict(study: Study) -> Iterator[str]:
             yield f"{variant} {done} in none of {len(runs)} runs."
             continue
         limits = [limit for name in axes if (limit := _limit(study, runs, name, axes[name]))]
-        said = f" {_listed(limits)}." if limits else ""
-        yield f"{variant} {done} in {len(good)} of {len(runs)} runs.{said}"
+        said = f": {_listed(limits)}" if limits else ""
+        yield f"{variant} {done} in {len(good)} of {len(runs)} runs{said}."
     yield from _price_of_study(study, variants)
 
 
 def _limit(study: Study, runs: Sequence[RunRecord], name: str, values: Sequence[Any]) -> str:
-    """Where along an axis the runs of a variant stop to settle, if they do so from one side."""
+    """From which end of an axis on all runs of a variant settle, or none."""
     share = []
     for value in values:
         there = [settled(study, run) for run in runs if run.settings.get(name) == value]
         share.append(sum(there) / len(there) if there else 0.0)
-    short = name.rpartition(".")[2] if "." in name else name
-    if share[0] == 1.0:
-        first = next(k for k, part in enumerate(share) if part < 1.0)
-        return (
-            f"All do up to {short} = {number(values[first - 1])}, the first that do not "
-            f"are at {number(values[first])}"
-        )
-    if share[-1] == 1.0:
-        last = max(k for k, part in enumerate(share) if part < 1.0)
-        return f"All do from {short} = {number(values[last + 1])} on"
-    return ""
+    short = name.rpartition(".")[2]
+    whole, none = [part == 1.0 for part in share], [part == 0.0 for part in share]
+    said = []
+    for word, held in (("all", whole), ("none", none)):
+        if held[0]:
+            said.append(f"in {word} up to {short} = {number(values[held.index(False) - 1])}")
+        elif held[-1]:
+            last = len(held) - held[::-1].index(False)
+            said.append(f"in {word} from {short} = {number(values[last])} on")
+    return " and ".join(said)
 
 
 def _price_of_study(study: Study, variants: Mapping[str, Sequence[RunRecord]]) -> Iterator[str]:

@@ -65,7 +65,7 @@ def opened(
     page.wait_for_function("Bokeh.documents[0].is_idle", timeout=60_000)
     try:
         yield page
-        assert complaints == []
+        assert not complaints, complaints
     finally:
         page.close()
 
@@ -85,5 +85,5 @@ def fits(page: Page) -> bool:
             return box.width > 0 && box.right > innerWidth + 0.5;
         }).map((e) => e.outerHTML.slice(0, 120))"""
     )
-    assert found == []
+    assert not found, found
     return bool(page.evaluate("document.documentElement.scrollWidth <= innerWidth"))

@@ -10,7 +10,7 @@ import pytest
 
 from congelation.report.html import write_html
 from tests.report.browser import WIDTHS, chromium, fits, keep, needs_browser, opened
-from tests.report.stored import stored
+from tests.report.stored import stored, stored_study
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -35,6 +35,14 @@ def run_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     file = folder / "report.html"
     write_html(stored(folder), file)
+    return file
+
+
+@pytest.fixture(scope="module")
+def study_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("study")
+    file = folder / "report.html"
+    write_html(stored_study(folder), file)
     return file
 
 
@@ -107,3 +115,83 @@ def test_dark_mode_and_print(browser: Browser, run_page: Path, tmp_path: Path) -
         )
         page.pdf(path=tmp_path / "run.pdf", format="A4")
         assert (tmp_path / "run.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_of_a_study_is_cut(browser: Browser, study_page: Path, width: int) -> None:
+    with opened(browser, study_page, width) as page:
+        assert fits(page)
+        keep(page, f"study-{width}")
+
+
+def test_selectors_change_the_plot_of_a_study(browser: Browser, study_page: Path) -> None:
+    """Medians of Controller 1: settling times 1 and 2, peaks of u 50 and 100."""
+    medians = "[...congelation.model('metric.line.0').data.median]"
+    with opened(browser, study_page) as page:
+        assert page.evaluate(medians) == [1, 1, 1, 1]
+        page.locator("#metric-axis").select_option("plant.a")
+        assert page.evaluate(medians) == [1, 2]
+        page.locator("#metric-metric").select_option("peak_u")
+        page.locator("#metric-scale").select_option("linear")
+        assert page.evaluate(medians) == [50, 100]
+        numbers = page.locator("#metric-numbers tbody tr").first.locator("td, th")
+        assert numbers.all_text_contents()[:2] == ["Controller 1", "1"]
+
+
+def test_what_never_settles_is_drawn_above_all_else(browser: Browser, study_page: Path) -> None:
+    with opened(browser, study_page) as page:
+        ceiling = page.evaluate("congelation.scales['metric.y'].ceiling")
+        line = page.evaluate("[...congelation.model('metric.line.1').data.median]")
+        assert line[:2] == [2, 2]
+        assert line[2:] == [ceiling, ceiling]
+        assert ceiling > 4
+        assert (
+            page.evaluate("congelation.tick('metric.y', congelation.scales['metric.y'].ceiling)")
+            == "never"
+        )
+
+
+def test_a_point_and_a_row_open_a_run(browser: Browser, study_page: Path) -> None:
+    visible = """[...Bokeh.documents[0]._all_models.values()].filter((m) =>
+        m.type === "GlyphRenderer" && m.visible && m.tags.includes("run r02")).length"""
+    with opened(browser, study_page) as page:
+        assert page.locator("#trajectories").is_hidden()
+        # A click where the first point of Controller 2 is drawn.
+        place = page.evaluate(
+            """(() => {
+              const source = congelation.model("metric.points.1");
+              const plot = congelation.model("metric");
+              const view = Bokeh.index.find_one(plot);
+              view.el.scrollIntoView({block: "center"});
+              const box = view.el.getBoundingClientRect();
+              const [x, y] = [source.data.x[0], source.data.y[0]];
+              return [box.x + view.frame.x_scale.compute(x),
+                      box.y + view.frame.y_scale.compute(y)];
+            })()"""
+        )
+        page.mouse.click(*place)
+        page.wait_for_function("document.getElementById('picked').textContent.includes('r02')")
+        assert page.evaluate(visible) > 0
+        assert page.locator("#trajectories").is_visible()
+        keep(page, "study-run")
+        row = page.locator('#runs tr[data-run="r72"]')
+        row.focus()
+        page.keyboard.press("Enter")
+        picked = page.locator("#picked").text_content() or ""
+        assert "plant: x[1] <too> large" in picked
+        assert "trajectories/r72.parquet" in picked
+
+
+def test_the_table_filters_and_sorts(browser: Browser, study_page: Path) -> None:
+    with opened(browser, study_page) as page:
+        page.locator("#filter-text").fill("omega > 10")
+        assert page.evaluate("congelation.study.kept()") == ["r61", "r62", "r71", "r72"]
+        page.locator("#filter-text").fill("")
+        page.locator("#filter-status").select_option("DIVERGED")
+        assert page.evaluate("congelation.study.kept()") == ["r72"]
+        page.locator("#filter-status").select_option("")
+        heading = page.get_by_role("button", name="peak_x")
+        heading.click()
+        heading.click()
+        assert page.evaluate("congelation.study.kept()")[0] == "r71"
+        assert page.locator("th[aria-sort=descending]").count() == 1

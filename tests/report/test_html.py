@@ -10,7 +10,7 @@ import pytest
 from congelation.errors import CongelationError, InvalidInput
 from congelation.report.html import write_html
 from congelation.results.results import Results
-from tests.report.stored import stored, stored_failures
+from tests.report.stored import stored, stored_failures, stored_study
 
 VOID = {"meta", "img", "br", "input"}
 
@@ -93,3 +93,14 @@ def test_places_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(CongelationError, match=r"report\.html cannot be written"):
         write_html(store, tmp_path / "file" / "report.html")
+
+
+def test_a_study_says_where_it_fails_and_what_it_costs(tmp_path: Path) -> None:
+    found = page(stored_study(tmp_path, kept=0), tmp_path / "report.html")
+    head = found.text[: found.text.index("Metric against a setting")]
+    assert "Controller 1 settles in all 8 runs." in head
+    assert "Controller 2 settles in 4 of 8 runs: in all up to omega = 1 and in none" in head
+    assert "from omega = 10 on." in head
+    assert "a peak of |u| that is 50 times that of Controller 2" in head
+    assert "plant: x[1] <too> large" in found.text
+    assert "No trajectories were kept." in found.text
