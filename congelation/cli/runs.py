@@ -21,6 +21,7 @@ from congelation.cli.shared import (
     print_json,
     print_summary,
 )
+from congelation.cosim import compiled
 from congelation.errors import CongelationError, InvalidInput
 from congelation.results.identity import code_version
 from congelation.results.record import RunRecord
@@ -251,6 +252,11 @@ def _positive(timeout: float | None) -> float | None:
 
 def _carried_out(plan: Plan, workers: Workers, form: Form) -> Results:
     """Carry a study out and show how far it is."""
+    if compiled.library() is None:
+        complain(
+            "the compiled stepping loop is not installed, so Python makes all steps: the same "
+            "results, later; with a C compiler there, install congelation again"
+        )
     try:
         with shown(plan, form) as listener:
             return carry_out(plan, workers, listener)

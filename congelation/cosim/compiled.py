@@ -152,13 +152,19 @@ class _Memory(ctypes.Structure):
     ]
 
 
+VERSION = 1
+"""Of the library that fits these structures; as in loop.c."""
+
+
 @cache
 def library() -> ctypes.CDLL | None:
-    """The compiled loop; None where it was not built."""
+    """The compiled loop; None where it was not built, or in another version."""
     file = Path(__file__).with_name("loop" + str(sysconfig.get_config_var("EXT_SUFFIX")))
     try:
         found = ctypes.CDLL(str(file))
-    except OSError:
+        if found.loop_version() != VERSION:
+            return None
+    except (OSError, AttributeError):
         return None
     found.work_size.restype = ctypes.c_size_t
     found.work_size.argtypes = [ctypes.c_size_t, ctypes.c_size_t]

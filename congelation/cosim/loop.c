@@ -78,6 +78,10 @@ typedef struct {
     double time;              /* at the beginning of its step */
 } Loop;
 
+/* Raised with each change of a structure or a function here: a library of another version, left over
+   from an earlier installation, is not used. */
+EXPORT int loop_version(void) { return 1; }
+
 static int refused(Loop *loop, int status, const char *function) {
     loop->status = status;
     loop->function = function;
