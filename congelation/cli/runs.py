@@ -312,7 +312,7 @@ def _announce(plan: Plan, workers: Workers, *, measured: bool) -> None:
     """Say how many runs there are, and what those missing will take."""
     print(f"{plan.total} runs, {len(plan.missing)} of them to do in {plan.store.root}")
     if plan.others:
-        print(f"{plan.others} runs there are of another study, or another state of the scenario")
+        print(f"{plan.others} other runs are of another study or an earlier state of the scenario")
     for version in plan.versions:
         if version != code_version():
             complain(
