@@ -264,8 +264,8 @@ def _panel(axis: Axes, panel: str, curves: Sequence[_Curve], variants: Sequence[
     else:
         _scale(axis, curves)
     common_unit = next(iter(units.values())) if len(set(units.values())) == 1 else ""
-    if len(labels) == 1:
-        axis.set_ylabel(with_unit(labels[0], common_unit))
+    if len(labels) < 2:  # none where no run got as far as a first row
+        axis.set_ylabel(with_unit(labels[0], common_unit) if labels else panel)
         return
     axis.set_ylabel(with_unit(math_label(panel.partition(".")[2]), common_unit))
     handles = [

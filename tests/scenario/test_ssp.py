@@ -166,6 +166,7 @@ def test_derivatives_are_connected_on_request(archive: Path, tmp_path: Path) -> 
     )  # the master connects derivatives by itself
 
 
+@pytest.mark.filterwarnings("ignore:.*read from a table")  # of what cannot be known of theta
 def test_a_table_travels_with_the_archive(tmp_path: Path) -> None:
     table = tmp_path / "theta.csv"
     table.write_text("time,theta\n0,-3\n0.4,-2\n1,-3\n")
