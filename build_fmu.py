@@ -32,10 +32,14 @@ STANDARD = (
     "saturation",
     "lag",
     "delay",
+    "active_suspension",
+    "stable_zero3",
     "tracking",
     "varying_gain",
     "unknown_radius",
     "nonlinear",
+    "bound_estimator",
+    "filtered_transformation",
 )
 # A delay has no native twin.
 NATIVE = tuple(name for name in STANDARD if name != "delay")

@@ -24,6 +24,9 @@ __all__ = [
     "state_feedback_certificate",
 ]
 
+LARGEST_GAP = 0.27847
+"""The largest a (1 - tanh a), rounded up."""
+
 Matrix = NDArray[np.float64]
 Sampler = Callable[[np.random.Generator], Matrix]
 
@@ -93,13 +96,22 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
 
     perturbations, sample = _ball(loop), _within(law)
     if not known:
-        D, D_law = values["epsilon"].item() ** 2 * delta**2 / 2, claim_of(values, "D_hat", 1)
+        D_law = claim_of(values, "D_hat", 1)
+        if "epsilon" in values:
+            D = values["epsilon"].item() ** 2 * delta**2 / 2
+            sample = _with_radius(sample, D_law, values["epsilon"].item())
+        else:  # the bound estimator: a (1 - tanh a) is at most LARGEST_GAP
+            D, eta = delta, _state(loop, "eta")
+            sample = _with_bound(sample, D_law)
+            residue += LARGEST_GAP * n * eta * delta
+            drawn["root_of_eta"] = 1
+            free["root_of_eta"] = ca.SX.sym("root_of_eta")
+            solved["eta"] = free["root_of_eta"] ** 2
         D_hat = _state(loop, "D_hat")
         V += (D - D_hat) ** 2 / (2 * values["gamma_D"].item())
         claimed += D_law.decay(D, D_hat)
         residue += D_law.residue(D)
         solved["D_hat"] = D + free["D_error"]
-        sample = _with_radius(sample, D_law, values["epsilon"].item())
     if "rho_hat" in names:
         sign, ell_b, rho_hat = values["sign_b"].item(), ell[p], _state(loop, "rho_hat")
         rho_law = claim_of(values, "rho_hat", 1)
@@ -112,7 +124,8 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
         sample = _with_gain(sample, p, rho_law, sign)
     for v in loop.external:
         yr = v.symbol
-        residue += values["epsilon_r"].item() ** 2 * delta**2 * ca.sumsqr(yr[:n]) / 2
+        if "epsilon_r" in values:
+            residue += values["epsilon_r"].item() ** 2 * delta**2 * ca.sumsqr(yr[:n]) / 2
         if "epsilon_b" in values:
             residue += values["epsilon_b"].item() ** 2 * ca.sumsqr(yr) / 2
         solved[v.name] = free[v.name]
@@ -375,6 +388,16 @@ def _with_radius(sample: Sampler, law: Claim, epsilon: float) -> Sampler:
         return np.append(ell, math.sqrt(2 * max(D.item(), 0.0)) / epsilon)
 
     return with_radius
+
+
+def _with_bound(sample: Sampler, law: Claim) -> Sampler:
+    """Random ell and delta, the latter in its law's set."""
+
+    def with_bound(generator: np.random.Generator) -> Matrix:
+        ell = sample(generator)
+        return np.append(ell, law.nearest(np.array([10 ** generator.uniform(-1, 1)])))
+
+    return with_bound
 
 
 def _with_gain(sample: Sampler, place: int, law: Claim, sign: float) -> Sampler:

@@ -23,11 +23,15 @@ class Options:
         The plant's input gain b(t) is unknown and varies; its sign is known. State feedback only.
     unknown_radius : bool
         The radius delta is not known; the term of the damping that holds it is estimated.
+    bound_estimator : bool
+        In place of congelation's damping: what varies is a disturbance of bounded size, and the
+        bound is estimated. State feedback, without the two before.
     """
 
     tracking: bool = False
     varying_gain: bool = False
     unknown_radius: bool = False
+    bound_estimator: bool = False
 
     def __str__(self) -> str:
         named = [f.name.replace("_", " ") for f in fields(self) if getattr(self, f.name)]

@@ -239,6 +239,70 @@ def test_derivation_at_order_4_of_4_parameters():
         assert model.output("u").numel() == 1
 
 
+# The bound estimator, a rival.
+
+
+def estimator_loop(seed, n, p, adaptation=gradient, tracking=False, **parameters):
+    rng = np.random.default_rng(seed)
+    values = random_state_feedback_parameters(rng, n, p)
+    values = {k: values[k] for k in ("c", "Gamma", "damping")} | {"gamma_D": 1.3}
+    options = Options(tracking=tracking, bound_estimator=True)
+    return closed(random_phibar(rng, n, p), values | parameters, options, adaptation)
+
+
+@pytest.mark.parametrize("tracking", [False, True])
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2), (3, 3)])
+def test_the_claim_of_the_bound_estimator_holds(n, p, tracking):
+    for law, parameters in ((gradient, {"decay": 0.5}), (robust, {"sigma": 0.3})):
+        loop = estimator_loop(n + p, n, p, law, tracking, **parameters)
+        finding = state_feedback_certificate(loop).search(150, ascents=2)
+        assert not finding.violated, (finding.margin, finding.state)
+        assert finding.resolved > 50
+
+
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2)])
+def test_without_its_estimate_the_bound_estimator_fails(n, p):
+    assert violated(estimator_loop(n + p, n, p, damping=0.0))
+
+
+def test_the_width_of_the_bound_estimator_has_to_fall_in_its_law(monkeypatch):
+    """Without (d alpha/d eta) eta' in alpha_i V' grows with the rate of eta."""
+    gradient_of = state_feedback._gradient
+
+    def without(alpha, *symbols):
+        *rows, eta = gradient_of(alpha, *symbols)
+        return [*rows, ca.SX(*eta.shape)]
+
+    monkeypatch.setattr(state_feedback, "_gradient", without)
+    assert violated(estimator_loop(4, 2, 2, decay=50.0))
+
+
+def test_first_order_bound_estimator_by_hand():
+    rng, phibar = np.random.default_rng(9), 0.7
+    model = state_feedback_controller([[[phibar]]], options=Options(bound_estimator=True))
+    v = {"c": 1.2, "Gamma": 0.8, "gamma_D": 1.7, "decay": 0.4, "damping": 1.0}
+    for _ in range(20):
+        x, theta_hat, D_hat = rng.normal(size=3)
+        eta = rng.uniform(0.05, 1)
+        state = {"x": x, "theta_hat": theta_hat, "D_hat": D_hat, "eta": eta}
+        found = numbers(model, [model.output("u"), *(s.rate for s in model.states)], {**v, **state})
+        size = np.sqrt((phibar * x) ** 2 + state_feedback.SMALLEST_SQUARE)
+        psi = size * np.tanh(size * x / eta)
+        expected = [
+            -1.2 * x - phibar * x * theta_hat - psi * D_hat,
+            0.8 * phibar * x**2,
+            1.7 * psi * x,
+            -0.4 * eta,
+        ]
+        assert [f.item() for f in found] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("options", [GAIN, RADIUS], ids=named)
+def test_options_that_exclude_the_bound_estimator(options):
+    with pytest.raises(InvalidInput, match="excludes gain = 'varying'"):
+        state_feedback_controller(options=dataclasses.replace(options, bound_estimator=True))
+
+
 # Output feedback: tracking, unknown radius.
 
 

@@ -67,6 +67,21 @@ def test_output_feedback_that_tracks_with_an_unknown_radius(tmp_path: Path) -> N
     assert deviation(cg.System(components, links), 1.0) < 1e-5
 
 
+@pytest.mark.parametrize("name", ["bound_estimator", "filtered_transformation"])
+def test_rivals_as_fmus(tmp_path: Path, name: str) -> None:
+    plant, controller = cg.build(ROOT / "specs" / f"{name}.toml", out=tmp_path)
+    measured = "x" if name == "bound_estimator" else "y"
+    links = cg.Connection(f"plant.{measured}", f"law.{measured}"), cg.Connection("law.u", "plant.u")
+    components = cg.Component("plant", plant), cg.Component("law", controller)
+    assert deviation(cg.System(components, links), 0.5) < 1e-5
+
+
+def test_the_filtered_transformation_has_no_certificate() -> None:
+    (found,) = certify(ROOT / "specs" / "filtered_transformation.toml")
+    assert found.verdict is Verdict.NOT_CLAIMED
+    assert "not known" in found.reasons[0]
+
+
 def tracking(folder: Path, *changes: tuple[str, str]) -> Path:
     """The scenario over 1 s."""
     text = (ROOT / "scenarios" / "tracking.toml").read_text()
@@ -151,6 +166,16 @@ MISTAKES = {
         'phibar = {"1,1" = [-1, 0], "2,1" = [0, -1]}',
         'phi = {1 = ["x[1]"]}',
         r"structure\.phi\.1.*2 formulas",
+    ),
+    "a law of another form": (
+        'gain = "varying"',
+        'law = "filtered-transformation"',
+        "law = 'filtered-transformation' is none of form 'strict-feedback'",
+    ),
+    "options that exclude each other": (
+        'gain = "varying"',
+        'gain = "varying"\nlaw = "bound-estimator"',
+        "excludes gain = 'varying'",
     ),
     "a gain of another kind": ('gain = "varying"', 'gain = "fast"', "gain"),
 }
