@@ -91,10 +91,10 @@ def native_fmu(twin: Path, target: Path, fmu: FmuSpec, sources: Path) -> None:
     library = _compiled(fmu.name, {**layer, "model.c": model.encode("utf-8")})
 
     finished = {name: data for name, data in entries.items() if not name.startswith(_DROPPED)}
-    description = _description(finished.pop("modelDescription.xml"), guid)
+    description, identifier = _description(finished.pop("modelDescription.xml"), guid)
     finished[_LICENSE] = (sources / "native" / "licenses.txt").read_bytes()
     finished["resources/spec.json"] = about
-    finished[f"binaries/{_PLATFORM}/{fmu.model.name}.so"] = library
+    finished[f"binaries/{_PLATFORM}/{identifier}.so"] = library
     write_archive(target, [("modelDescription.xml", description), *sorted(finished.items())])
 
 
@@ -350,8 +350,9 @@ def _compiled(name: str, sources: dict[str, bytes]) -> bytes:
         return (folder / "library.so").read_bytes()
 
 
-def _description(xml: bytes, guid: str) -> bytes:
-    """The twin's modelDescription.xml with the GUID and the capabilities of the native FMU."""
+def _description(xml: bytes, guid: str) -> tuple[bytes, str]:
+    """The twin's modelDescription.xml with the GUID and the capabilities of the native FMU, and
+    its modelIdentifier, after which the library is named."""
     root = ElementTree.fromstring(xml)
     root.set("guid", guid)
     root.set("generationTool", str(root.get("generationTool")).split(" with ")[0] + " (native)")
@@ -361,4 +362,4 @@ def _description(xml: bytes, guid: str) -> bytes:
     kind.set("canInterpolateInputs", "true")
     kind.set("maxOutputDerivativeOrder", "1")
     text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
-    return text + b"\n"
+    return text + b"\n", str(kind.get("modelIdentifier"))
