@@ -29,6 +29,7 @@ STANDARD = (
     "reference",
     "disturbance",
     "noise",
+    "noise2",
     "saturation",
     "lag",
     "delay",
