@@ -12,7 +12,6 @@ modules are private, and may change without notice.
 from __future__ import annotations
 
 import importlib
-import importlib.metadata
 import sys
 from collections.abc import Mapping
 from types import ModuleType
@@ -133,7 +132,10 @@ _PLACES: Mapping[str, str] = {
 def __getattr__(name: str) -> object:
     """Load a public name when it is first used."""
     if name == "__version__":
-        found: object = importlib.metadata.version("congelation")
+        # Here, as it takes longer to import than all that a process of the check needs.
+        from importlib.metadata import version
+
+        found: object = version("congelation")
     elif name in _PLACES:
         module, _, attribute = _PLACES[name].partition(":")
         found = getattr(importlib.import_module(f"congelation.{module}"), attribute)

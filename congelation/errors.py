@@ -77,6 +77,11 @@ class SlaveError(CongelationError):
         Communication point at which it happened, in seconds.
     message : str
         The FMU's own logged message, or the call and the status it returned.
+
+    Examples
+    --------
+    >>> issubclass(cg.SlaveError, cg.CongelationError)
+    True
     """
 
     def __init__(self, component: str, time: float, message: str) -> None:

@@ -7,61 +7,74 @@ line on stderr, never a traceback.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import import_module
 from typing import Annotated
 
 import typer
 
-from congelation.cli.design import attack, tune
-from congelation.cli.designs import build, certify, examples, info, new
-from congelation.cli.results import export, ls, report, show
-from congelation.cli.runs import export_ssp, run, sweep
-from congelation.cli.schema import schema
 from congelation.cli.shared import BAD_INPUT, EXIT_CODES, FAILED, complain, interruptible
-from congelation.conformance.command import check
 from congelation.errors import CongelationError, InvalidInput
 from congelation.results.identity import code_version
 
 __all__ = ["app", "main"]
 
-app = typer.Typer(
-    name="congelation",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
-    epilog="Exit codes: "
-    + "; ".join(f"{code} {meaning}" for code, meaning in EXIT_CODES.items())
-    + ".",
-)
-for command in (
-    new,
-    examples,
-    build,
-    info,
-    certify,
-    attack,
-    tune,
-    run,
-    sweep,
-    report,
-    ls,
-    show,
-    export,
-    check,
-    schema,
-):
-    app.command()(interruptible(command))
-app.command("export-ssp")(interruptible(export_ssp))
+_COMMANDS: Mapping[str, str] = {
+    "new": "cli.designs",
+    "examples": "cli.designs",
+    "build": "cli.designs",
+    "info": "cli.designs",
+    "certify": "cli.designs",
+    "attack": "cli.design",
+    "tune": "cli.design",
+    "run": "cli.runs",
+    "sweep": "cli.runs",
+    "report": "cli.results",
+    "ls": "cli.results",
+    "show": "cli.results",
+    "export": "cli.results",
+    "check": "conformance.command",
+    "schema": "cli.schema",
+    "export-ssp": "cli.runs",
+}
+"""The module of each command. Only that of the command which is called is imported: SciPy, CasADi
+and the optimisers take a second, which a run has no use for."""
+
+
+def _app(commands: Iterable[str]) -> typer.Typer:
+    """The command line with some of its commands."""
+    app = typer.Typer(
+        name="congelation",
+        no_args_is_help=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        context_settings={"help_option_names": ["-h", "--help"]},
+        epilog="Exit codes: "
+        + "; ".join(f"{code} {meaning}" for code, meaning in EXIT_CODES.items())
+        + ".",
+    )
+    app.callback()(_root)
+    for name in commands:
+        module = import_module(f"congelation.{_COMMANDS[name]}")
+        app.command(name)(interruptible(getattr(module, name.replace("-", "_"))))
+    return app
+
+
+def __getattr__(name: str) -> typer.Typer:
+    """`app`, the command line with all commands."""
+    if name != "app":
+        raise AttributeError(f"module 'congelation.cli' has no attribute '{name}'")
+    return _app(_COMMANDS)
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the command line, with the arguments of the process unless others are given, and exit."""
-    arguments = sys.argv[1:] if arguments is None else arguments
+    words = list(sys.argv[1:] if arguments is None else arguments)
     # Typer has no option whose value may be left out.
-    given = ["--trust=bars" if a == "--trust" else a for a in arguments]
+    words = ["--trust=bars" if word == "--trust" else word for word in words]
+    called = next((word for word in words if not word.startswith("-")), "")
     try:
-        app(given)
+        _app([called] if called in _COMMANDS else _COMMANDS)(words)
     except InvalidInput as error:
         complain(str(error))
         sys.exit(BAD_INPUT)
@@ -76,7 +89,6 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _root(
     version: Annotated[
         bool,

@@ -98,6 +98,14 @@ def certify(
     file: Annotated[Path, typer.Argument(help="Spec or scenario (.toml).", show_default=False)],
     samples: Annotated[int, typer.Option(min=1, help="Random states to try.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="Of the random states.")] = 0,
+    umax: Annotated[
+        float | None,
+        typer.Option(
+            help="Largest |u| of a saturated control: look for the level set of V in which the "
+            "design never saturates.",
+            show_default="none",
+        ),
+    ] = None,
     json: AsJson = False,
 ) -> None:
     """Check the assumptions of a design, and search for states where V' exceeds its promise.
@@ -105,7 +113,7 @@ def certify(
     Exit code 0: every design holds; 3: one is violated or breaks an assumption; 1: of one nothing
     can be said, because its law has no certificate or double precision does not suffice.
     """
-    found = search(file, samples=samples, seed=seed)
+    found = search(file, samples=samples, seed=seed, umax=umax)
     if json:
         print_json([_record(certification) for certification in found])
     else:
@@ -118,6 +126,15 @@ def certify(
         name = certification.design.name
         for warning in certification.warnings:
             complain(f"{name}: warning: {warning}")
+        if certification.level is not None and not json:
+            level = certification.level
+            side = "starts inside" if level.holds_start else "starts outside"
+            print(
+                f"{name}: |u| < {level.umax:g} where V < {level.v:.4g}; the design {side}, at "
+                f"V = {level.start:.4g}"
+            )
+        if certification.unlevelled:
+            complain(f"{name}: no level set within the limits: {certification.unlevelled}")
         for reason in certification.reasons:
             complain(f"{name}: {certification.verdict.value}: {reason}")
     verdicts = {certification.verdict for certification in found}
@@ -137,6 +154,15 @@ def _record(found: Certification) -> dict[str, object]:
         "margin": None if finding is None else finding.margin.value,
         "relative_margin": None if finding is None else finding.margin.relative,
         "state": {} if finding is None else dict(finding.state),
+        "level": None
+        if found.level is None
+        else {
+            "umax": found.level.umax,
+            "v": found.level.v,
+            "start": found.level.start,
+            "state": dict(found.level.state),
+        },
+        "unlevelled": found.unlevelled,
         "delta": found.delta,
         "radius": found.design.radius,
     }

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import json
-import platform
 import re
 import subprocess
 import sys
 from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
 from congelation.conformance.binding import Library, Tape
-from congelation.conformance.description import Description, Value, read_description
+from congelation.conformance.description import Value, read_description
 from congelation.conformance.instance import Instance
+from congelation.conformance.job import Job, binary_path
 from congelation.conformance.rule import NotApplicable, NotEvaluated, Violated
 from congelation.conformance.trajectory import (
     Grid,
@@ -27,101 +27,12 @@ from congelation.conformance.trajectory import (
     simulate,
 )
 
-__all__ = [
-    "Ability",
-    "Bench",
-    "Job",
-    "binary_path",
-    "from_text",
-    "platform_folder",
-    "to_text",
-]
+__all__ = ["Bench", "from_text", "to_text"]
 
-_EXTENSIONS = {"Linux": ".so", "Windows": ".dll", "Darwin": ".dylib"}
-_FOLDERS = {"Linux": "linux64", "Windows": "win64", "Darwin": "darwin64"}
 # Where nothing says how long a step is; short against the seconds in which models move.
 _DEFAULT_STEP = 1e-2
 # Messages of the FMU that go with a finding, and instances that are asked for them.
 _LAST = 5
-
-
-@dataclass(frozen=True)
-class Ability:
-    """What the survey found that an FMU can do; each failure is the finding of one rule.
-
-    Attributes
-    ----------
-    loads, runs : str
-        Why the library cannot be loaded or a plain run fails; "" if it does.
-    moves : bool
-        Whether a run with moving inputs succeeds. If not, all runs use the start values.
-    again : str
-        Why there is no second instance after the first in a process; "" if there is.
-    beside : str
-        Why there is no second instance next to the first; "" if there is.
-    repeats : bool
-        Whether a second run gives the same values as the first.
-    reference : str
-        File with the trajectory of a run, which rules compare theirs with; "" for none.
-    """
-
-    loads: str = ""
-    runs: str = ""
-    moves: bool = True
-    again: str = ""
-    beside: str = ""
-    repeats: bool = True
-    reference: str = ""
-
-
-@dataclass(frozen=True)
-class Job:
-    """What a child process is to do; paths as text, so that it travels as JSON.
-
-    Attributes
-    ----------
-    rule : str
-        Id of the rule, "" for a task.
-    task, argument : str
-        A task of `congelation.conformance.tasks` and its argument.
-    directory : str
-        The unzipped FMU.
-    companion : str
-        Another unzipped FMU, to be loaded in the same process.
-    scratch : str
-        A directory of the child's own, its working directory.
-    able : Ability
-        What the FMU can do, by the survey.
-    """
-
-    directory: str
-    companion: str
-    scratch: str
-    rule: str = ""
-    task: str = ""
-    argument: str = ""
-    able: Ability = field(default_factory=lambda: Ability())
-
-    @property
-    def tape(self) -> Path:
-        """Where the name of the function being called stands."""
-        return Path(self.scratch) / "tape"
-
-    @property
-    def result(self) -> Path:
-        """Where the child leaves what it found, as JSON."""
-        return Path(self.scratch) / "result.json"
-
-
-def platform_folder() -> str:
-    """The folder of this platform's binaries inside an FMU (section 2.3)."""
-    return _FOLDERS.get(platform.system(), "")
-
-
-def binary_path(directory: Path, description: Description) -> Path:
-    """Where the shared library for this platform has to lie."""
-    extension = _EXTENSIONS.get(platform.system(), "")
-    return directory / "binaries" / platform_folder() / f"{description.identifier}{extension}"
 
 
 class Bench:
@@ -344,7 +255,7 @@ class Bench:
         instance.free()
 
     def elsewhere(self, task: str, *, directory: Path | None = None, argument: str = "") -> str:
-        """Do a task of `congelation.conformance.tasks` in another process.
+        """Do a task of `congelation.conformance.child` in another process.
 
         Raises
         ------
@@ -362,9 +273,8 @@ class Bench:
             able=replace(self.job.able, again="", beside="", reference=""),
         )
         done = subprocess.run(
-            [sys.executable, "-m", "congelation.conformance.child"],
-            input=json.dumps(asdict(job)),
-            text=True,
+            [sys.executable, "-m", "congelation.conformance.child", str(job.saved())],
+            stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,
             check=False,

@@ -1,6 +1,7 @@
 """The process in which one dynamic rule, or one task of another rule, looks at one FMU.
 
-Reads a `Job` as JSON from standard input and leaves the result in the job's scratch directory.
+Reads a `Job` from the JSON file that its command line names and leaves the result in the job's
+scratch directory.
 Standard output and error belong to the FMU, which may print what it likes.
 """
 
@@ -14,8 +15,9 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from congelation.conformance.bench import Ability, Bench, Job, to_text
-from congelation.conformance.rule import BY_ID, DynamicRule, NotApplicable, Violated, judge
+from congelation.conformance.bench import Bench, to_text
+from congelation.conformance.job import Ability, Job
+from congelation.conformance.rule import DynamicRule, NotApplicable, Violated, judge
 from congelation.conformance.rules import RULES
 from congelation.conformance.trajectory import demand, first_difference
 
@@ -25,39 +27,42 @@ _PR_SET_PDEATHSIG = 1
 
 
 def main() -> None:
-    """Do the job on standard input."""
+    """Do the job in the file that the command line names."""
     if sys.platform == "linux":
         # An FMU that hangs must not outlive the check, however that ends.
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    data = json.load(sys.stdin)
+    data = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
     job = Job(**{**data, "able": Ability(**data["able"])})
     os.chdir(job.scratch)
     bench = Bench(job)
     if job.task:
         _leave(job.result, _done(bench))
         os._exit(0)
-    assert RULES  # importing the package registered them
-    rule = BY_ID[job.rule]
-    assert isinstance(rule, DynamicRule)
-    try:
-        outcome, breaches, reason, cause = judge(rule, bench)
-    except Exception as error:  # a defect of the rule, which must not look like one of the FMU
-        reason = f"the check itself failed ({type(error).__name__}: {error}); please report it"
-        report: dict[str, object] = {"outcome": "NOT_EVALUATED", "reason": reason}
-    else:
-        report = {
-            "outcome": outcome.name,
-            "breaches": [[breach.what, breach.line, breach.file] for breach in breaches],
-            "reason": reason,
-            "cause": cause,
-            "notes": bench.notes,
-            "log": bench.said() if breaches else [],
-        }
-    _leave(job.result, report)
+    rule = next(rule for rule in RULES if rule.id == job.rule)
+    if not isinstance(rule, DynamicRule):
+        raise TypeError(f"{rule.id} looks at no process")
+    _leave(job.result, _judged(rule, bench))
     if not rule.ends_normally:
         # How the process would end is the business of the rules that say so.
         sys.stdout.flush()
         os._exit(0)
+
+
+def _judged(rule: DynamicRule, bench: Bench) -> dict[str, object]:
+    """What a rule leaves (`congelation.conformance.finding.verdict_of`)."""
+    try:
+        outcome, breaches, reason, cause = judge(rule, bench)
+    except Exception as error:  # a defect of the rule, which must not look like one of the FMU
+        reason = f"the check itself failed ({type(error).__name__}: {error}); please report it"
+        return {"outcome": "NOT_EVALUATED", "reason": reason}
+    return {
+        "outcome": outcome.name,
+        "breaches": [[breach.what, breach.line, breach.file] for breach in breaches],
+        "reason": reason,
+        "cause": cause,
+        "notes": bench.notes,
+        "log": bench.said() if breaches else [],
+    }
 
 
 def _done(bench: Bench) -> dict[str, object]:

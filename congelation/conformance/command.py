@@ -10,8 +10,9 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from congelation.conformance.finding import FmuReport, Verdict
 from congelation.conformance.report import to_json, to_junit, to_lines, to_table
-from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Level, Verdict
+from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Level
 from congelation.conformance.rules import RULES
 from congelation.conformance.runner import check as run_check
 from congelation.conformance.runner import select
@@ -87,6 +88,17 @@ def check(
                 text = f"{path.name} {verdict.rule.id}"
                 progress.update(task, advance=1, description=text)
 
+            def announce(path: Path, scope: str) -> None:
+                # Here and not at the end, because the rules may take minutes.
+                progress.update(task, description=path.name)
+                print(f"{path}: {scope}", flush=True)
+
+            def tell(fmu: FmuReport) -> None:
+                if table:
+                    Console().print(to_table(fmu))
+                for line in to_lines(fmu):
+                    print(line, flush=True)
+
             report = run_check(
                 fmus,
                 rules=rule or (),
@@ -94,17 +106,14 @@ def check(
                 known=known,
                 jobs=jobs,
                 time_limit=time_limit,
+                opened=announce,
                 progress=advance,
+                done=tell,
             )
     except InvalidInput as error:
         raise typer.BadParameter(str(error), param_hint="check") from error
     except KeyboardInterrupt:
         raise typer.Exit(_INTERRUPTED) from None
-    for fmu in report.fmus:
-        if table:
-            Console().print(to_table(fmu))
-        for line in to_lines(fmu):
-            print(line)
     for entry in report.unused:
         typer.echo(f"{known}: nothing was found for {entry}; remove the entry", err=True)
     if json is not None:

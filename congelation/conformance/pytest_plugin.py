@@ -15,7 +15,8 @@ import pytest
 
 if TYPE_CHECKING:
     # Imported when an FMU is checked, because pytest loads plugins in every run.
-    from congelation.conformance.rule import Rule, Verdict
+    from congelation.conformance.finding import Verdict
+    from congelation.conformance.rule import Rule
 
 __all__ = [
     "FmuFile",
@@ -118,7 +119,8 @@ class RuleItem(pytest.Item):
 
     def runtest(self) -> None:
         """Check the rule."""
-        from congelation.conformance.rule import Finding, Level, Outcome
+        from congelation.conformance.finding import Finding
+        from congelation.conformance.rule import Level, Outcome
 
         parent = self.parent
         if not isinstance(parent, FmuFile):

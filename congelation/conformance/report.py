@@ -10,8 +10,8 @@ from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
-from congelation.conformance.rule import Finding, Level, Outcome, Verdict
-from congelation.conformance.runner import FmuReport, Report
+from congelation.conformance.finding import Finding, FmuReport, Report, Verdict
+from congelation.conformance.rule import Level, Outcome
 
 __all__ = ["to_json", "to_junit", "to_lines", "to_table"]
 
@@ -25,8 +25,7 @@ _STYLES = {
 
 
 def to_lines(fmu: FmuReport) -> Iterator[str]:
-    """The scope, one line for each finding, one for all accepted ones, and the counts."""
-    yield f"{fmu.path}: {fmu.scope}"
+    """One line for each finding, one for all accepted ones, and the counts."""
     if not fmu.in_scope:
         return
     for finding in sorted(fmu.findings, key=lambda f: f.level.weight):

@@ -12,7 +12,7 @@ import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, ClassVar, Self
+from typing import TYPE_CHECKING, ClassVar
 
 if TYPE_CHECKING:
     from congelation.conformance.bench import Bench
@@ -27,14 +27,12 @@ __all__ = [
     "STATE_NOT_RESTORED",
     "Breach",
     "DynamicRule",
-    "Finding",
     "Level",
     "NotApplicable",
     "NotEvaluated",
     "Outcome",
     "Rule",
     "StaticRule",
-    "Verdict",
     "Violated",
     "dynamic",
     "judge",
@@ -241,90 +239,6 @@ def dynamic(
         return rule
 
     return register
-
-
-@dataclass(frozen=True)
-class Verdict:
-    """What became of one rule for one FMU.
-
-    Attributes
-    ----------
-    breaches : tuple of Breach
-        Where the rule is broken.
-    reason : str
-        Why the rule does not apply or was not evaluated, or why its finding is accepted.
-    notes : tuple of str
-        Things worth knowing that are no breach.
-    log : tuple of str
-        The last messages that the FMU logged or printed.
-    cause : str
-        What failed, where several rules may meet the same failure.
-    """
-
-    rule: Rule
-    outcome: Outcome
-    breaches: tuple[Breach, ...] = ()
-    reason: str = ""
-    notes: tuple[str, ...] = ()
-    log: tuple[str, ...] = ()
-    cause: str = ""
-    seconds: float = 0.0
-
-
-@dataclass(frozen=True)
-class Finding:
-    """One broken rule in one FMU, as it is reported.
-
-    Attributes
-    ----------
-    fmu : str
-        The FMU, as given.
-    file : str
-        The file inside the FMU, "" for the FMU as a whole.
-    line : int or None
-        Line of that file, where known.
-    what : str
-        The breach; of several the first, and how many more there are.
-    evidence : tuple of str
-        All breaches, and the last messages of the FMU.
-    known : str
-        Why the finding is accepted, "" where it is not.
-    """
-
-    rule: str
-    level: Level
-    fmu: str
-    file: str
-    line: int | None
-    what: str
-    remedy: str
-    evidence: tuple[str, ...] = ()
-    known: str = ""
-
-    @classmethod
-    def of(cls, fmu: str, verdict: Verdict) -> Self:
-        """The finding of a verdict whose rule is broken."""
-        first, more = verdict.breaches[0], len(verdict.breaches) - 1
-        return cls(
-            rule=verdict.rule.id,
-            level=verdict.rule.level,
-            fmu=fmu,
-            file=first.file,
-            line=first.line,
-            what=first.what + (f" (and {more} more)" if more else ""),
-            remedy=verdict.rule.remedy,
-            evidence=(
-                *(breach.what for breach in verdict.breaches),
-                *(f"the FMU's log: {line}" for line in verdict.log),
-            ),
-            known=verdict.reason if verdict.outcome is Outcome.KNOWN else "",
-        )
-
-    def __str__(self) -> str:
-        place = "/".join(filter(None, (self.fmu, self.file)))
-        place += f":{self.line}" if self.line else ""
-        what = re.sub(r"\s+", " ", self.what).rstrip(".")
-        return f"{place}: {self.rule} {self.level.value}: {what} - {self.remedy}"
 
 
 def _cause(what: str) -> str:

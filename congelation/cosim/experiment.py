@@ -84,6 +84,11 @@ class Experiment:
         Times, steps or tolerances that no run can have, an unknown coupling, an option that the
         coupling does not have. That the coupling takes the tolerance is checked when the experiment
         is performed: of two variants that change both, each alone need not fit.
+
+    Examples
+    --------
+    >>> cg.Experiment(stop_time=2.0, coupling="hermite", tolerance=1e-6).tolerance
+    1e-06
     """
 
     stop_time: float

@@ -107,6 +107,11 @@ class Info:
     fmus : tuple of FmuInfo
     pair : PairInfo or None
         Of two FMUs.
+
+    Examples
+    --------
+    >>> cg.info("fmus/ScalarPlant.fmu").fmus[0].name
+    'ScalarPlant'
     """
 
     fmus: tuple[FmuInfo, ...]

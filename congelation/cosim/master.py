@@ -95,6 +95,13 @@ def simulate(
     ------
     InvalidInput
         The system, the times, the coupling or what is asked of trust are wrong.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> result = cg.simulate(system, stop_time=1.0, tolerance=1e-6, coupling="hermite")
+    >>> result.status is cg.Status.COMPLETED
+    True
     """
     experiment = Experiment(
         stop_time=stop_time,

@@ -57,6 +57,13 @@ class Output:
     sink : Sink, optional
         Takes the rows block by block, for instance a ParquetFile; without one they are kept in
         memory.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> result = cg.simulate(system, stop_time=1.0, step=0.01, output=cg.Output(interval=0.5))
+    >>> {0.0, 0.5, 1.0} <= set(result.time.tolist())
+    True
     """
 
     every: int = 1

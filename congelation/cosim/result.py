@@ -16,7 +16,13 @@ Floats = npt.NDArray[np.float64]
 
 
 class Status(Enum):
-    """How a run ended; each value is a sentence, and a remedy where one is needed."""
+    """How a run ended; each value is a sentence, and a remedy where one is needed.
+
+    Examples
+    --------
+    >>> cg.Status.COMPLETED.value
+    'The run reached its stop time.'
+    """
 
     COMPLETED = "The run reached its stop time."
     TERMINATED = "An FMU ended the run before its stop time; what it says is no failure."
@@ -171,6 +177,13 @@ class Result:
     statistics : Statistics
     trust : Trust or None
         Where error bars were asked for. The columns "error(component.variable)" are their bands.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> result = cg.simulate(system, stop_time=1.0, step=0.01)
+    >>> result.values.shape == (len(result.time), len(result.names))
+    True
     """
 
     status: Status

@@ -45,6 +45,11 @@ class Component:
     start : mapping of str to object
         Start values: numbers, booleans and strings for scalar variables, nested lists or arrays
         for vectors and matrices (``x0 = [2, -1]`` sets x0[1] and x0[2]).
+
+    Examples
+    --------
+    >>> cg.Component("plant", "fmus/ScalarPlant.fmu", {"x0": [2.0]}).name
+    'plant'
     """
 
     name: str
@@ -58,6 +63,11 @@ class Connection:
 
     A vector's name stands for all of its elements: "plant.x" to "controller.x" connects x[1] to
     x[1], and so on.
+
+    Examples
+    --------
+    >>> str(cg.Connection("plant.x", "controller.x"))
+    'plant.x -> controller.x'
     """
 
     source: str
@@ -174,7 +184,23 @@ class ResolvedSystem:
 
 @dataclass(frozen=True)
 class System:
-    """Components and the connections between them."""
+    """Components and the connections between them.
+
+    Examples
+    --------
+    >>> system = cg.System(
+    ...     components=(
+    ...         cg.Component("plant", "fmus/ScalarPlant.fmu"),
+    ...         cg.Component("controller", "fmus/ScalarController.fmu"),
+    ...     ),
+    ...     connections=(
+    ...         cg.Connection("plant.x", "controller.x"),
+    ...         cg.Connection("controller.u", "plant.u"),
+    ...     ),
+    ... )
+    >>> cg.simulate(system, stop_time=1.0, step=0.01).status.name
+    'COMPLETED'
+    """
 
     components: tuple[Component, ...]
     connections: tuple[Connection, ...] = ()

@@ -184,6 +184,13 @@ def attack(
     ------
     InvalidInput
         If an objective or variant is unknown, or the scenario is no such loop.
+
+    Examples
+    --------
+    >>> found = cg.attack("scenarios/scalar.toml", variants=["Controller 2"], objectives=["peak"],
+    ...                   effort=0.02)
+    >>> found.finds[0].value > 1.0
+    True
     """
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(pathlib.Path(scenario))

@@ -12,7 +12,6 @@ import math
 import warnings
 from collections.abc import Callable
 
-import cma
 import numpy as np
 from numpy.typing import NDArray
 
@@ -63,6 +62,8 @@ def maximise(
     constant : ndarray of bool, shape (p,), optional
         Elements that keep one value for all time.
     """
+    import cma  # here: the import takes half a second, which other commands need not wait for
+
     found: list[tuple[float, int, Cells]] = []
 
     def fall(vector: Floats, pieces: int) -> float:

@@ -29,7 +29,6 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, TextIO
 
-import cma
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
@@ -188,6 +187,12 @@ def tune(
     ------
     InvalidInput
         If the spec or a wish is not valid, or the journal is of another search.
+
+    Examples
+    --------
+    >>> tuning = cg.tune("specs/scalar.toml", evaluations=8, stop_time=5.0)
+    >>> all(proposal.certified for proposal in tuning.front)
+    True
     """
     spec = Path(spec)
     bench = _Bench(spec, below, stop_time)
@@ -415,6 +420,8 @@ def _descend(
     progress: Callable[[], None],
 ) -> None:
     """One run of the strategy towards a goal, from the spec's own design."""
+    import cma  # here: the import takes half a second, which other commands need not wait for
+
     options = {
         "seed": seed + 1,
         "verbose": -9,

@@ -13,6 +13,7 @@ __all__ = ["degree_of", "known_theta", "spec_assumptions", "spec_warnings"]
 _UNSURE = {
     "table": "is read from a table, which may be exchanged",
     "telegraph": "has a random term",
+    "noise": "has a random term",
 }
 """Terms whose values are not in the formula of the profile, and what is said of them."""
 

@@ -83,7 +83,7 @@ def equations_module(model: Model, special: Special | None = None) -> str:
     used = [name for name in _FUNCTIONS if f"{name}(" in text]
     head = _HEAD.format(
         description=model.description,
-        theta="" if model.profiled is None else ", theta",
+        theta=", theta" if model.driven else "",
         about=_ABOUT_SIGNALS if model.signals is not None else "",
         imports=f"from math import {', '.join(used)}\n\n" if used else "",
     )
@@ -107,7 +107,7 @@ def _bind(model: Model, function: str) -> str:
     states = sum(len(s.variables.names) for s in model.states)
     inputs = sum(len(i.variables.names) for i in model.inputs)
     if states:
-        body += ["", *_dormand_prince_step(states, inputs, varying=model.profiled is not None)]
+        body += ["", *_dormand_prince_step(states, inputs, varying=model.driven)]
     else:
         body += ["", "step = None"]
     body += ["", "return rates, outputs, derivatives, step"]

@@ -10,7 +10,7 @@ from congelation.errors import InvalidInput, nearest
 from congelation.export.equations import Special
 from congelation.signals import Slots
 from congelation.theory.adaptation import NEUTRAL, AdaptationFactory, gradient, robust
-from congelation.theory.blocks import reference
+from congelation.theory.blocks import delay, disturbance, lag, noise, reference, saturation
 from congelation.theory.kfilter import FilterFactory, iss_filter, standard_filter
 from congelation.theory.matching import matched_controller, matched_plant
 from congelation.theory.model import Model
@@ -153,6 +153,14 @@ FORMS: Mapping[str, Form] = {
     ),
 }
 
+
+def _sized(model: Callable[[int], Model], run_time: str, room: Slots | None = None) -> BlockForm:
+    """The form of blocks of `size` equal signals."""
+    return BlockForm(
+        ("size",), lambda s: model(_order(s, "size")), run_time, {"size": 1}, room or Slots()
+    )
+
+
 BLOCKS: Mapping[str, BlockForm] = {
     "reference": BlockForm(
         ("n", "sines"),
@@ -160,4 +168,11 @@ BLOCKS: Mapping[str, BlockForm] = {
         "driven",
         {"sines": 2},
     ),
+    "disturbance": _sized(disturbance, "driven"),
+    "noise": _sized(
+        noise, "driven", Slots(sines=0, squares=0, chirps=0, telegraphs=0, table=False, noises=1)
+    ),
+    "saturation": _sized(saturation, "block"),
+    "lag": _sized(lag, "block"),
+    "delay": _sized(delay, "delay"),
 }

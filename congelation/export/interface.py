@@ -119,7 +119,7 @@ def interface_of(model: Model, profiles: Sequence[ProfileSlots] = ()) -> Interfa
     dtheta = add(_dtheta(model))
     outputs = add(_outputs(model, causes))
     theta = add(_theta(model, causes))
-    next_event = add(_next_event(model, causes)) if profiles else ()
+    next_event = add(_next_event(model, causes)) if model.driven else ()
     derivatives = add(_derivatives(model, causes))
     outputs += add(_locals(model))
     gains = add(_gains(model, causes))
@@ -178,8 +178,12 @@ class _Causes:
         if model.theta is not None:
             self._note(model.theta.elements, self.theta)
         if model.signals is not None:
-            self._note(model.signals.variables.elements, self.profiles)
-            self._note(Variables("", model.signals.slopes, "").elements, self.profiles)
+            # What is remembered of inputs comes after their start; until then parameters say it.
+            known = frozenset(n for p in model.parameters for n in p.variables.names)
+            signals = model.signals.variables.elements
+            behind = self.profiles if model.signals.profiled else [known] * len(signals)
+            self._note(signals, behind)
+            self._note(Variables("", model.signals.slopes, "").elements, behind)
         self.gains = {
             g.variables.name: frozenset(n for name in g.arguments for n in elements_of[name])
             for g in model.gains
@@ -271,8 +275,13 @@ def _theta(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
 
 def _next_event(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
     depends = frozenset[str]().union(*causes.profiles)
-    name = "" if model.profiled is None else model.profiled.name
-    about = f"Next time at which {name} or its slope jumps; infinite if it never does"
+    if model.profiled is None:
+        about = "Next time at which a jump of the input comes out; infinite if none does"
+        known = [i.variables for i in model.inputs] + [p.variables for p in model.parameters]
+        depends = frozenset(name for variables in known for name in variables.names)
+    else:
+        name = model.profiled.name
+        about = f"Next time at which {name} or its slope jumps; infinite if it never does"
     yield _output("next_event", about, "s", depends)
 
 

@@ -48,6 +48,11 @@ A block to put between them, or to drive them with, is a spec of one FMU:
 The forms of blocks, and the keys of their structure:
 
     reference          n, sines: yr[0] .. yr[n], a signal and its derivatives
+    disturbance        size: d[1] .. d[size], from profiles
+    noise              size: y = u + n(t), sampled random numbers
+    saturation         size: y = u within the limits
+    lag                size: T y' = gain u - y
+    delay              size: y(t) = u(t - delay)
 """
 
 from __future__ import annotations
@@ -122,6 +127,12 @@ class Spec:
     form, structure
         What the models are derived from; see `congelation.export.forms`.
     plant, controller : FmuSpec
+
+    Examples
+    --------
+    >>> spec = cg.Spec.read("specs/scalar.toml")
+    >>> [fmu.name for fmu in spec.fmus]
+    ['ScalarPlant', 'ScalarController']
     """
 
     name: str
@@ -130,6 +141,11 @@ class Spec:
     structure: Structure
     plant: FmuSpec
     controller: FmuSpec
+
+    @classmethod
+    def read(cls, file: Path | str) -> Spec:
+        """The spec that a file holds; `InvalidInput` says what is wrong in it."""
+        return read_spec(Path(file))
 
     @property
     def fmus(self) -> tuple[FmuSpec, ...]:
@@ -334,6 +350,8 @@ def _slots(profile: Profile, room: Slots) -> Slots:
         max(room.squares, kinds.count("square")),
         max(room.chirps, kinds.count("chirp")),
         max(room.telegraphs, kinds.count("telegraph")),
+        room.table or "table" in kinds,
+        max(room.noises, kinds.count("noise")),
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 import zipfile
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -167,6 +168,12 @@ def _read(path: Path) -> Description:
         raise InvalidInput(f"{path}: an FMU for model exchange alone; co-simulation is needed")
     if {*str(simulation.modelIdentifier)} & {"/", "\\", "\0"}:  # it names files
         raise InvalidInput(f"{path}: modelIdentifier '{simulation.modelIdentifier}' is not valid")
+    counts = Counter(variable.name for variable in model.modelVariables)
+    if twice := [name for name, count in counts.items() if count > 1]:
+        raise InvalidInput(
+            f"{path}: modelDescription.xml has {counts[twice[0]]} variables named '{twice[0]}'; "
+            "names must be unique (FMI 2.0, 2.2.7), see: congelation check --static"
+        )
     return Description(
         path=path,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),

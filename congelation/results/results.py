@@ -134,6 +134,15 @@ class Results:
     ----------
     folder : Path
     runs : Runs
+
+    Examples
+    --------
+    >>> results = cg.open_results("results/scalar")
+    >>> results.runs["status"].tolist()
+    ['COMPLETED', 'COMPLETED']
+    >>> results.trajectory(results.runs[0].run_id).columns[0]
+    'plant.x'
+    >>> results.plot().savefig(folder / "scalar.png")
     """
 
     def __init__(self, folder: Path | str, study: str | None = None) -> None:
@@ -238,6 +247,11 @@ def open_results(folder: Path | str) -> Results:
     ------
     InvalidInput
         If it is no result directory, or of an earlier version.
+
+    Examples
+    --------
+    >>> len(cg.open_results("results/scalar").runs)
+    2
     """
     results = Results(folder)
     if results.folder.is_file():

@@ -104,6 +104,11 @@ class Variant:
 
     `settings` maps ``component.variable`` and ``experiment.key`` to values; those of a scenario
     have one entry for each scalar variable.
+
+    Examples
+    --------
+    >>> cg.Variant("Controller 2", {"controller.damping": False}).name
+    'Controller 2'
     """
 
     name: str

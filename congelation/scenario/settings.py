@@ -20,7 +20,9 @@ from congelation.toml import Section
 __all__ = ["SettingsReader", "component_values"]
 
 _PROFILE_OF = re.compile(r"Profile of (?P<name>[^:]+): ")
-_TERM_SLOT = re.compile(r"(?P<kind>sine|square|chirp|telegraph)\[\d+\]\.amplitude")
+_TERM_SLOT = re.compile(
+    r"(?P<kind>sine|square|chirp|telegraph|noise)\[\d+\]\.(amplitude|deviation)"
+)
 
 # The keys of the experiment that no variant may change.
 _FIXED = ("record", "options")
@@ -214,6 +216,7 @@ def _slots(offered: Iterable[str]) -> Slots:
         squares=kinds.count("square"),
         chirps=kinds.count("chirp"),
         telegraphs=kinds.count("telegraph"),
+        noises=kinds.count("noise"),
         table="table.file" in names,
     )
 

@@ -1,4 +1,4 @@
-"""Time-varying parameters θ(t): sums of constants, sines, squares, chirps, telegraphs and tables.
+"""Time-varying parameters θ(t): sums of constants, sines, squares, chirps, tables, random terms.
 
 The paper asks of θ(t) only that it stays in a box of known radius δ; it may vary arbitrarily fast
 and jump. A `Profile` is such a signal as data. Between two events (jumps, kinks of a table, ends
@@ -11,15 +11,16 @@ Profiles are continuous from the right: at a jump, `Profile.value` is the value 
 `Segment.value(end)` the value before it. The time of every jump is computed from its index, by
 the same expression wherever it is needed, so no rounding separates a jump from its own time.
 
-Read in the order of the imports: `checks`, `segment`, `terms`, `telegraph`, `table`, `kinds`, then
-`spec` and `flat` side by side, and `profiles`. The folder is copied into the FMUs as it stands:
-the standard library only, Python 3.9 or later, and imports among its modules are relative.
+Read in the order of the imports: `checks`, `segment`, `terms`, `telegraph`, `noise`, `table`,
+`kinds`, then `spec` and `flat` side by side, and `profiles`. The folder is copied into the FMUs as
+it stands: the standard library only, Python 3.9 or later, imports among its modules relative.
 """
 
 from __future__ import annotations
 
 from .checks import ProfileError
 from .flat import FlatParameter, Slots, flat_parameters
+from .noise import Noise
 from .profiles import Profile, box_radius, profile
 from .segment import Segment
 from .table import Table
@@ -30,6 +31,7 @@ __all__ = [
     "Chirp",
     "Constant",
     "FlatParameter",
+    "Noise",
     "Profile",
     "ProfileError",
     "Segment",

@@ -32,14 +32,16 @@ class Slots:
     chirps: int = 1
     telegraphs: int = 1
     table: bool = True
+    noises: int = 0
 
     def count(self, kind: str) -> int:
-        """Number of slots for terms of `kind`: sine, square, chirp or telegraph."""
+        """Number of slots for terms of `kind`: sine, square, chirp, telegraph or noise."""
         counts = {
             "sine": self.sines,
             "square": self.squares,
             "chirp": self.chirps,
             "telegraph": self.telegraphs,
+            "noise": self.noises,
         }
         return counts[kind]
 
@@ -58,7 +60,7 @@ class FlatParameter(NamedTuple):
     description: str
 
 
-_SLOTTED = ("sine", "square", "chirp", "telegraph")
+_SLOTTED = ("sine", "square", "chirp", "telegraph", "noise")
 _MEAN = "mean"
 _TABLE_FILE = "table.file"
 _TABLE_LINEAR = "table.linear"
@@ -113,7 +115,7 @@ def terms_of_flat(values: Mapping[str, Any], base: str) -> tuple[Term, ...]:
         full = {name: _default(f) for name, f in parameters(BY_KIND[kind]).items()}
         full.update(given)
         term = scalar_term(kind, full, f"{kind}[{k}]")
-        if full["amplitude"]:
+        if full[BY_KIND[kind].size]:
             terms.append(term)
     linear = boolean(values.get(_TABLE_LINEAR, False), _TABLE_LINEAR)
     if values.get(_TABLE_FILE, ""):

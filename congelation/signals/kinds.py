@@ -9,13 +9,14 @@ from dataclasses import MISSING, fields
 from typing import Any
 
 from .checks import ProfileError, check_keys, checked
+from .noise import Noise
 from .table import Table
 from .telegraph import Telegraph
 from .terms import Chirp, Constant, ScalarTerm, Sine, Square, Term
 
 __all__ = ["BY_KIND", "KINDS", "body_of", "parameters", "scalar_term", "table_of_file"]
 
-_SCALAR_TERMS: tuple[type[ScalarTerm], ...] = (Constant, Sine, Square, Chirp, Telegraph)
+_SCALAR_TERMS: tuple[type[ScalarTerm], ...] = (Constant, Sine, Square, Chirp, Telegraph, Noise)
 BY_KIND = {cls.kind: cls for cls in _SCALAR_TERMS}
 KINDS = (*BY_KIND, Table.kind)
 

@@ -32,7 +32,12 @@ class Term(ABC):
 
 @dataclass(frozen=True)
 class ScalarTerm(Term):
-    """A term whose fields are numbers, checked and converted when it is made."""
+    """A term whose fields are numbers, checked and converted when it is made.
+
+    The term is 0 where its field `size` is.
+    """
+
+    size: ClassVar[str] = "amplitude"
 
     def __post_init__(self) -> None:
         for f in fields(self):

@@ -103,6 +103,12 @@ def run(
         If the scenario is wrong, no run of it can begin, or the directory cannot be used.
     StoreError
         If results cannot be written.
+
+    Examples
+    --------
+    >>> results = cg.run("scenarios/scalar.toml", out=folder / "scalar")
+    >>> [run.variant for run in results.runs]
+    ['Controller 1', 'Controller 2']
     """
     found = read(scenario)
     plan = plan_study(
@@ -150,6 +156,13 @@ def sweep(
         If the scenario is wrong, no run of it can begin, or the directory cannot be used.
     StoreError
         If results cannot be written.
+
+    Examples
+    --------
+    >>> starter = cg.new("flap", folder)
+    >>> fmus = cg.build(starter / "spec.toml", out=starter / "fmus")
+    >>> len(cg.sweep(starter / "scenario.toml", out=folder / "swept").runs)
+    12
     """
     found = read(scenario)
     plan = plan_study(

@@ -9,6 +9,7 @@ import casadi as ca
 from congelation.errors import InvalidInput
 from congelation.theory.model import (
     Domain,
+    Input,
     Model,
     Output,
     Parameter,
@@ -19,7 +20,7 @@ from congelation.theory.model import (
     vector,
 )
 
-__all__ = ["reference"]
+__all__ = ["delay", "disturbance", "lag", "noise", "reference", "saturation"]
 
 
 def reference(n: int, sines: int = 2) -> Model:
@@ -88,3 +89,113 @@ def reference(n: int, sines: int = 2) -> Model:
         outputs=(Output(y_r, differentiated=True), Output(r.variables)),
         signals=r,
     )
+
+
+def disturbance(size: int) -> Model:
+    """Signals d_1(t) .. d_size(t) from profiles, with their exact derivatives."""
+    d = Signals.of(vector("d", _checked(size), "Disturbance d(t)"))
+    return Model(
+        name="Disturbance",
+        description="Disturbance d(t) from profiles",
+        inputs=(),
+        states=(),
+        parameters=(),
+        outputs=(Output(d.variables, differentiated=True),),
+        signals=d,
+    )
+
+
+def noise(size: int) -> Model:
+    """y = u + n(t), n being sampled random numbers: between two samples y moves as u does."""
+    u, n = _input(size), Signals.of(vector("n", size, "Noise n(t), held between its samples"))
+    return Model(
+        name="Noise",
+        description="Measurement noise: y = u + n(t), n(t) held between its samples",
+        inputs=(u,),
+        states=(),
+        parameters=(),
+        outputs=(_output(u.variables.symbol + n.variables.symbol, "u + n"), Output(n.variables)),
+        signals=n,
+    )
+
+
+def saturation(size: int) -> Model:
+    """y = centre + max(-limit, min(limit, u - centre)), element by element.
+
+    y is smooth but where u meets a limit; its derivative there is that of the piece inside.
+    """
+    u = _input(size)
+    limit = vector("limit", size, "Largest |y - centre|")
+    centre = vector("centre", size, "Middle of the range of y")
+    inner = u.variables.symbol - centre.symbol
+    y = centre.symbol + ca.fmax(-limit.symbol, ca.fmin(limit.symbol, inner))
+    side = (inner > limit.symbol) - (inner < -limit.symbol)
+    return Model(
+        name="Saturation",
+        description="Saturation of an actuator: y = u, but no further than limit from centre",
+        inputs=(u,),
+        states=(),
+        parameters=(
+            Parameter(limit, (1.0,) * size, Domain.POSITIVE),
+            Parameter(centre, (0.0,) * size),
+        ),
+        outputs=(
+            _output(y, "u within the limits"),
+            Output(Variables("saturated", side, "-1, 0 or 1: below, within or above the limits")),
+        ),
+    )
+
+
+def lag(size: int) -> Model:
+    """T y' = gain u - y, element by element."""
+    u, y = _input(size), vector("y", size, "Output y: gain u behind a lag of first order")
+    T = vector("T", size, "Time constant of the lag", "s")
+    gain = vector("gain", size, "Gain at rest")
+    rate = (gain.symbol * u.variables.symbol - y.symbol) / T.symbol
+    return Model(
+        name="Lag",
+        description="Lag of an actuator or sensor: T y' = gain u - y",
+        inputs=(u,),
+        states=(State(y, rate, (0.0,) * size),),
+        parameters=(
+            Parameter(T, (0.1,) * size, Domain.POSITIVE),
+            Parameter(gain, (1.0,) * size),
+        ),
+        outputs=(Output(y, differentiated=True),),
+    )
+
+
+def delay(size: int) -> Model:
+    """y(t) = u(t - delay); y = before until the first input comes out.
+
+    The delayed input and its slope are signals that the FMU finds in its memory of the input.
+    """
+    u, w = _input(size), Signals.of(vector("w", size, "Input u(t - delay)"), profiled=False)
+    T = scalar("delay", "Time from input to output", "s")
+    before = vector("before", size, "Output until the first input comes out")
+    return Model(
+        name="Delay",
+        description="Delay: y(t) = u(t - delay)",
+        inputs=(u,),
+        states=(),
+        parameters=(
+            Parameter(T, (0.1,), Domain.POSITIVE),
+            Parameter(before, (0.0,) * size),
+        ),
+        outputs=(_output(w.variables.symbol, "u(t - delay)"),),
+        signals=w,
+    )
+
+
+def _checked(size: int) -> int:
+    if size < 1:
+        raise InvalidInput(f"size = {size} is not valid; give a number from 1 on")
+    return size
+
+
+def _input(size: int) -> Input:
+    return Input.of(vector("u", _checked(size), "Input u"))
+
+
+def _output(y: ca.SX, formula: str) -> Output:
+    return Output(Variables("y", y, f"Output y = {formula}"), differentiated=True)

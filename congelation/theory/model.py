@@ -180,7 +180,7 @@ class Output:
 
 @dataclass(frozen=True)
 class Signals:
-    """Functions of time that a block computes itself, from profiles in its parameters.
+    """Functions of time that a block computes itself.
 
     Parameters
     ----------
@@ -190,24 +190,27 @@ class Signals:
         Their time derivatives between events, in the shape of the values.
     time : casadi.SX
         Time itself, for what a block computes from it directly.
+    profiled : bool
+        Whether they follow from profiles in its parameters, or from its inputs of the past.
     """
 
     variables: Variables
     slopes: ca.SX
     time: ca.SX
+    profiled: bool = True
 
     @classmethod
-    def of(cls, variables: Variables) -> Signals:
+    def of(cls, variables: Variables, profiled: bool = True) -> Signals:
         slopes = ca.SX.sym(f"der_{variables.name}", *variables.shape)
-        return cls(variables, slopes, ca.SX.sym("time"))
+        return cls(variables, slopes, ca.SX.sym("time"), profiled)
 
 
 @dataclass(frozen=True)
 class Model:
     """A plant, a controller, or a block to put between the two.
 
-    `theta` holds the unknown parameters theta(t) of a plant; `signals`, what a block computes from
-    profiles. A controller has neither.
+    `theta` holds the unknown parameters theta(t) of a plant; `signals`, what a block computes as a
+    function of time. A controller has neither.
     """
 
     name: str
@@ -222,8 +225,15 @@ class Model:
 
     @property
     def profiled(self) -> Variables | None:
-        """What follows from profiles: theta(t) of a plant, the signals of a block."""
-        return self.theta if self.signals is None else self.signals.variables
+        """What follows from profiles: theta(t) of a plant, signals of a block."""
+        if self.signals is None:
+            return self.theta
+        return self.signals.variables if self.signals.profiled else None
+
+    @property
+    def driven(self) -> bool:
+        """Whether the equations take a function of time, which may jump."""
+        return self.theta is not None or self.signals is not None
 
     def total_derivative(self, expression: ca.SX) -> ca.SX:
         """d/dt of an expression in the states, inputs and signals, by the chain rule."""

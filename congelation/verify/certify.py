@@ -9,6 +9,7 @@ looked at first, because the inequality does not show it.
 from __future__ import annotations
 
 import enum
+import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -32,6 +33,7 @@ from congelation.theory.lyapunov import (
     scalar_certificate,
     state_feedback_certificate,
 )
+from congelation.theory.saturation import Level, largest_level
 from congelation.verify.assumptions import case_assumptions, loops_of
 from congelation.verify.reference import reference
 
@@ -80,12 +82,19 @@ class Design:
         Of the box that theta(t) fills; in output feedback of the box of a(t).
     remarks : tuple of Remark
         The assumptions that it breaks, and what cannot be known of them.
+    center, half : tuple of float
+        Centre and half the sides of the box that theta(t) fills.
+    start : tuple of float
+        Start values of the loop's states.
     """
 
     name: str
     loop: ClosedLoop
     radius: float
     remarks: tuple[Remark, ...] = ()
+    center: tuple[float, ...] = ()
+    half: tuple[float, ...] = ()
+    start: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, repr=False)
@@ -101,12 +110,18 @@ class Certification:
     finding : Finding or None
         The worst state that the search met; None where there was nothing to search, or where no
         state had a finite margin.
+    level : Level or None
+        Of a design that holds and was asked for limits of its control: the largest level set of V
+        on which it stays within them; None where there is none, which `unlevelled` explains.
+    unlevelled : str
     """
 
     design: Design
     verdict: Verdict
     reasons: tuple[str, ...]
     finding: Finding | None = None
+    level: Level | None = None
+    unlevelled: str = ""
 
     def __repr__(self) -> str:
         """The verdict and its reasons; the design itself would fill pages."""
@@ -143,7 +158,11 @@ def certificate_of(loop: ClosedLoop) -> Certificate:
 
 
 def certify(
-    what: Path | str | Spec | Scenario, *, samples: int = 1000, seed: int = 0
+    what: Path | str | Spec | Scenario,
+    *,
+    samples: int = 1000,
+    seed: int = 0,
+    umax: float | None = None,
 ) -> tuple[Certification, ...]:
     """Check the assumptions of designs, and search for states where V' exceeds its promise.
 
@@ -155,6 +174,10 @@ def certify(
         Random states to try, before local ascents from the worst of them.
     seed : int
         Of the random states.
+    umax : float, optional
+        Largest |u| of a saturated control, in the unit of u: for each design that holds, the
+        largest level set of V in which it never saturates is looked for, see
+        `congelation.theory.saturation`.
 
     Returns
     -------
@@ -172,7 +195,27 @@ def certify(
     >>> found.verdict.name
     'HOLDS'
     """
-    return tuple(certify_design(design, samples, seed) for design in designs_of(what))
+    if umax is not None and not 0.0 < umax < math.inf:
+        raise InvalidInput(f"umax = {umax!r} is not valid; give a positive number")
+    found = [certify_design(design, samples, seed) for design in designs_of(what)]
+    if umax is None:
+        return tuple(found)
+    return tuple(_with_level(one, umax, seed) if one.holds else one for one in found)
+
+
+def _with_level(found: Certification, umax: float, seed: int) -> Certification:
+    """What was found of a design that holds, and its level set within the limits of the control."""
+    design = found.design
+    center, half = np.array(design.center), np.array(design.half)
+    if not np.isfinite([*center, *half]).all():
+        return replace(found, unlevelled="theta(t) has no bounds, which say what ell is")
+    certificate = certificate_of(design.loop)
+    ell = certificate.perturbations.ell(center, half)
+    try:
+        level = largest_level(certificate, umax, ell, design.start, seed)
+    except InvalidInput as error:
+        return replace(found, unlevelled=str(error))
+    return replace(found, level=level)
 
 
 def certify_design(design: Design, samples: int = 1000, seed: int = 0) -> Certification:
@@ -251,7 +294,15 @@ def _of_spec(spec: Spec) -> list[Design]:
     loop = close(spec.plant.model, spec.controller.model, spec.controller.model.defaults())
     profiles = [slots.profile for slots in spec.plant.profiles]
     radius = _radius(loop, profiles)
-    return [Design(spec.title, loop, radius, spec_assumptions(spec))]
+    bounds = [profile.bounds() for profile in profiles]
+    start = tuple(loop.start().tolist())
+    return [Design(spec.title, loop, radius, spec_assumptions(spec), *_box(bounds), start)]
+
+
+def _box(bounds: Sequence[tuple[float, float]]) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """Centre and half the sides of a box."""
+    middle = tuple(low / 2 + high / 2 for low, high in bounds)
+    return middle, tuple(high / 2 - low / 2 for low, high in bounds)
 
 
 def _of_scenario(scenario: Scenario) -> list[Design]:
@@ -264,7 +315,14 @@ def _of_scenario(scenario: Scenario) -> list[Design]:
         except InvalidInput as error:
             raise InvalidInput(f"{scenario.file}: {variant.name}: {error}") from error
         radius = _radius(found.loop, found.profiles)
-        designs.append(Design(variant.name, found.certified, radius, remarks))
+        bounds = [
+            (low + offset, high + offset)
+            for (low, high), offset in zip(
+                (profile.bounds() for profile in found.profiles), found.offsets, strict=True
+            )
+        ]
+        start = tuple(found.start.tolist())
+        designs.append(Design(variant.name, found.certified, radius, remarks, *_box(bounds), start))
     return designs
 
 

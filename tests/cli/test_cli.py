@@ -1,46 +1,24 @@
-"""The command ``congelation`` as users run it: a process, its output, its exit code."""
+"""The command ``congelation``: output, exit codes, one line for what a user can set right."""
 
 from __future__ import annotations
 
-import os
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from tests.scenarios import FMUS, ROOT, SCALAR, write
-
-COMMAND = [sys.executable, "-W", "error", "-m", "congelation"]
-ENVIRONMENT = {**os.environ, "PYTHONPATH": str(ROOT), "COLUMNS": "100"}
-
-
-def congelation(*arguments: object, folder: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, *map(str, arguments)],
-        cwd=folder,
-        env=ENVIRONMENT,
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
+from tests.scenarios import FMUS, SCALAR, write
+from tests.studies import COMMAND, environment, process
+from tests.studies import command as congelation
+from tests.studies import last_line as one_line
 
 
-def one_line(done: subprocess.CompletedProcess[str], code: int) -> str:
-    """The last line on stderr, after checking that it is the program's and no traceback."""
-    assert done.returncode == code, done.stderr
-    assert "Traceback" not in done.stderr
-    line = done.stderr.strip().splitlines()[-1]
-    assert line.startswith("congelation: ")
-    return line
-
-
-def test_run_and_report(tmp_path: Path) -> None:
+def test_run_and_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The run as users start it, in a process of its own."""
     file = write(tmp_path)
-    done = congelation("run", file, "--verify", folder=tmp_path)
+    done = process("run", file, "--verify", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     out = tmp_path / "results" / "loop"
     for text in ("A short loop", "Controller 1", "Controller 2", "peak_x", "settling_x [s]"):
@@ -57,19 +35,23 @@ def test_run_and_report(tmp_path: Path) -> None:
 
     (out / "figures" / "loop.png").unlink()
     file.unlink()  # the report needs the stored results alone
-    done = congelation("report", "results/loop", "--html", "loop.html", folder=tmp_path)
+    monkeypatch.chdir(tmp_path)
+    done = congelation("report", "results/loop", "--html", "loop.html")
     assert done.returncode == 0, done.stderr
     assert "peak_x" in done.stdout
     assert (out / "figures" / "loop.png").is_file()
     assert "A short loop" in (tmp_path / "loop.html").read_text()
 
 
-def test_bad_input_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
+def test_bad_input_is_one_line_and_exit_code_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     unknown = write(tmp_path, SCALAR, ("stop_time", "stop_tme"))
     line = one_line(congelation("run", unknown), 2)
     assert "loop.toml: experiment.stop_tme is not known here; did you mean 'stop_time'?" in line
     missing = write(tmp_path, SCALAR, (f"{FMUS}/ScalarPlant.fmu", "ScalarPlantt"))
-    assert "congelation build" in one_line(congelation("run", missing, folder=tmp_path), 2)
+    assert "congelation build" in one_line(congelation("run", missing), 2)
     assert "no such file" in one_line(congelation("run", tmp_path / "absent.toml"), 2)
     good = write(tmp_path)
     (tmp_path / "file").write_text("")
@@ -121,9 +103,9 @@ def test_help_and_version(arguments: list[str], text: str) -> None:
 
 def test_interrupting_a_run_is_one_line(tmp_path: Path) -> None:
     long = write(tmp_path, SCALAR, ("stop_time = 1.0", "stop_time = 10000.0"))
-    process = subprocess.Popen(
+    running = subprocess.Popen(
         [*COMMAND, "run", str(long), "--out", str(tmp_path / "out")],
-        env=ENVIRONMENT,
+        env=environment(),
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
@@ -131,8 +113,8 @@ def test_interrupting_a_run_is_one_line(tmp_path: Path) -> None:
     while not (tmp_path / "out").is_dir():
         time.sleep(0.05)
     time.sleep(0.5)
-    process.send_signal(signal.SIGINT)
-    _, errors = process.communicate(timeout=30)
-    assert process.returncode == 130
+    running.send_signal(signal.SIGINT)
+    _, errors = running.communicate(timeout=30)
+    assert running.returncode == 130
     assert "Traceback" not in errors
     assert errors.strip().splitlines()[-1].startswith("congelation: interrupted")

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from importlib.resources import as_file, files
 from pathlib import Path
 
-from congelation.conformance.bench import platform_folder
+from congelation.conformance.job import platform_folder
 
 __all__ = ["SOURCES", "Entries", "build", "compiled", "header", "read_entries", "write_archive"]
 

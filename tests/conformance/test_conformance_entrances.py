@@ -130,8 +130,27 @@ def test_signal_ends_the_command_with_its_children(
         process.kill()
     assert process.returncode == 130
     assert "Traceback" not in output + error
+    # What is checked is printed before the rules run.
+    assert output.startswith(f"{path}: FMI 2.0 co-simulation, static rules and dynamic rules on ")
     assert processes_in(folder) == []
     assert list(folder.iterdir()) == []
+
+
+def test_interrupt_while_starting_shows_no_traceback(correct: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-X", "importtime", "-m", "congelation", "check", str(correct)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stderr is not None
+    # The import of the commands has begun, and takes much longer than the signal.
+    while "congelation.errors" not in process.stderr.readline():
+        assert process.poll() is None
+    process.send_signal(signal.SIGINT)
+    output, error = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in output + error
 
 
 def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:

@@ -13,9 +13,11 @@ from binary_mutants import BINARY_MUTANTS
 from mutant import Edit, Mutant, extra, swap
 from xml_mutants import XML_MUTANTS
 
-from congelation.conformance.rule import BY_ID, Level, Outcome, Verdict
+from congelation.conformance.checker import Checker
+from congelation.conformance.finding import Verdict
+from congelation.conformance.rule import BY_ID, Level, Outcome
 from congelation.conformance.rules import RULES
-from congelation.conformance.runner import Checker, check
+from congelation.conformance.runner import check
 
 MUTANTS = (*ARCHIVE_MUTANTS, *XML_MUTANTS, *BINARY_MUTANTS)
 WORKERS = 2

@@ -10,9 +10,11 @@ from pathlib import Path
 import lag
 import pytest
 
+from congelation.conformance.checker import Checker
+from congelation.conformance.finding import FmuReport
 from congelation.conformance.known import LIMITS
 from congelation.conformance.rule import BY_ID, Outcome
-from congelation.conformance.runner import Checker, FmuReport, check
+from congelation.conformance.runner import check
 
 # What a slave or its builder can do something about.
 FINDINGS = {

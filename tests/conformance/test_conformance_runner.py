@@ -15,11 +15,13 @@ from mutant import XML, renamed, swap, without
 from rich.console import Console
 
 from congelation.conformance.binding import FUNCTIONS, Tape, filled
+from congelation.conformance.checker import Checker
 from congelation.conformance.description import Unreadable, default_initial, read_description
+from congelation.conformance.finding import Report
 from congelation.conformance.report import to_json, to_junit, to_lines, to_table
 from congelation.conformance.rule import BY_ID, DynamicRule, Level, Outcome
 from congelation.conformance.rules import RULES
-from congelation.conformance.runner import Checker, Report, check, select
+from congelation.conformance.runner import check, select
 from congelation.errors import InvalidInput
 
 Library = Callable[[str], bytes]
@@ -160,7 +162,7 @@ def test_static_starts_no_process(
     def forbidden(*arguments: object, **named: object) -> None:
         raise AssertionError("a process was started")
 
-    monkeypatch.setattr("congelation.conformance.runner.subprocess.Popen", forbidden)
+    monkeypatch.setattr("congelation.conformance.children.subprocess.Popen", forbidden)
     path = lag.build(tmp_path, library(""), edit=swap(' start="0.25"', ""))
     (finding,) = check([path], static=True).findings
     assert (finding.rule, finding.file, finding.line) == ("FMI2-VARS-05", XML, 45)
@@ -357,10 +359,8 @@ def test_junit_report(mixed: Report, fail_on: Level, failures: int) -> None:
 
 def test_lines_and_table(mixed: Report) -> None:
     (fmu,) = mixed.fmus
-    scope, violation, warning, counts = to_lines(fmu)
-    assert scope.endswith(
-        "lag.fmu: FMI 2.0 co-simulation, static rules and dynamic rules on linux64"
-    )
+    violation, warning, counts = to_lines(fmu)
+    assert fmu.scope == "FMI 2.0 co-simulation, static rules and dynamic rules on linux64"
     assert "FMI2-LIB-01 violation: fmi2CancelStep is not exported - " in violation
     assert "FMI2-LOG-07 warning: " in warning
     assert "1 violation, 1 warning, 0 robustness, 1 pass, 0 known, 1 not applicable" in counts

@@ -159,3 +159,15 @@ def test_another_kind_of_file_for_a_spec_is_named(tmp_path: Path) -> None:
         assert str(told.value).startswith(f"{file}: {message}")
     with pytest.raises(InvalidInput, match=r"this is a folder; give an FMU \(\.fmu\)"):
         describe(tmp_path)
+
+
+def test_variables_of_one_name_are_refused(tmp_path: Path) -> None:
+    file = tmp_path / "a.fmu"
+    with zipfile.ZipFile(FMUS / "ScalarPlant.fmu") as source, zipfile.ZipFile(file, "w") as target:
+        for name in source.namelist():
+            content = source.read(name)
+            if name == "modelDescription.xml":
+                content = content.replace(b'name="u"', b'name="x"')
+            target.writestr(name, content)
+    with pytest.raises(InvalidInput, match="has 2 variables named 'x'; names must be unique"):
+        describe(file)

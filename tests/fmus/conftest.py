@@ -16,6 +16,11 @@ NAMES = (
     "ObserverFormPlant",
     "OutputFeedbackController",
     "Reference",
+    "Disturbance",
+    "Noise",
+    "Saturation",
+    "Lag",
+    "Delay",
 )
 
 

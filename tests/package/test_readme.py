@@ -1,4 +1,4 @@
-"""The lines of Python in README, as a script without a guard and from standard input."""
+"""The lines of Python in README: a script without a guard, from standard input, in a notebook."""
 
 from __future__ import annotations
 
@@ -17,20 +17,45 @@ from tests.scenarios import ROOT
 )
 
 
-@pytest.mark.parametrize("standard_input", [False, True])
-def test_lines_of_the_readme(tmp_path: Path, standard_input: bool) -> None:
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """What the lines need of a checkout."""
     (tmp_path / "specs").mkdir()
     shutil.copy(ROOT / "specs" / "f16_pitch.toml", tmp_path / "specs")
-    (tmp_path / "lines.py").write_text(LINES, "utf-8")
+    return tmp_path
+
+
+@pytest.mark.parametrize("standard_input", [False, True])
+def test_lines_of_the_readme(folder: Path, standard_input: bool) -> None:
+    (folder / "lines.py").write_text(LINES, "utf-8")
     done = subprocess.run(
         [sys.executable, "-" if standard_input else "lines.py"],
         input=LINES if standard_input else None,
-        cwd=tmp_path,
+        cwd=folder,
         capture_output=True,
         text=True,
     )
-    assert done.returncode == 0, done.stderr
+    assert (done.returncode, done.stderr) == (0, "")
     for name in ("Controller 1", "Controller 2"):
         assert name in done.stdout
-    assert (tmp_path / "f16.png").read_bytes().startswith(b"\x89PNG")
-    assert (tmp_path / "results" / "f16" / "runs.parquet").is_file()
+    assert (folder / "f16.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "results" / "f16" / "runs.parquet").is_file()
+
+
+@pytest.mark.filterwarnings("ignore")  # of the notebook's own libraries
+def test_lines_of_the_readme_in_a_notebook(folder: Path) -> None:
+    nbformat = pytest.importorskip("nbformat")
+    nbclient = pytest.importorskip("nbclient")
+    cells = [nbformat.v4.new_code_cell(source) for source in (LINES, "results")]
+    notebook = nbformat.v4.new_notebook(cells=cells)
+    resources = {"metadata": {"path": str(folder)}}
+    nbclient.NotebookClient(
+        notebook, timeout=300, kernel_name="python3", resources=resources
+    ).execute()
+    outputs = str(notebook.cells[0].outputs)
+    assert "Controller 2" in outputs
+    assert "2 of 2 runs, 0 failed" in outputs
+    assert "<table>" in str(notebook.cells[1].outputs)

@@ -20,8 +20,9 @@ from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
 from congelation.scenario.ssp import read_ssp, write_ssp
 from congelation.sweep.engine import run
-from tests.cli.test_cli import congelation, one_line
 from tests.scenarios import FMUS, SCALAR, SHIPPED, write
+from tests.studies import last_line as one_line
+from tests.studies import process as congelation
 
 SSD = "SystemStructure.ssd"
 SSV = "resources/plant.ssv"
@@ -493,14 +494,14 @@ def test_a_stop_time_is_needed(archive: Path) -> None:
 def test_the_commands(tmp_path: Path) -> None:
     write(tmp_path)
     done = congelation(
-        "export-ssp", "loop.toml", "c2.ssp", "--variant", "Controller 2", folder=tmp_path
+        "export-ssp", "loop.toml", "c2.ssp", "--variant", "Controller 2", cwd=tmp_path
     )
     assert (done.returncode, done.stdout) == (0, "c2.ssp\n"), done.stderr
-    done = congelation("run", "c2.ssp", folder=tmp_path)
+    done = congelation("run", "c2.ssp", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Controller 2" in done.stdout
     assert "peak_x" in done.stdout
     assert (tmp_path / "results" / "c2" / "runs.parquet").is_file()
     assert (tmp_path / "results" / "c2" / "figures" / "loop.png").is_file()
-    line = one_line(congelation("run", "absent.ssp", folder=tmp_path), 2)
+    line = one_line(congelation("run", "absent.ssp", cwd=tmp_path), 2)
     assert line.startswith("congelation: absent.ssp: no such file")

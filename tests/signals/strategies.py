@@ -2,7 +2,7 @@
 
 from hypothesis import strategies as st
 
-from congelation.signals import Chirp, Constant, Sine, Square, Table, Telegraph
+from congelation.signals import Chirp, Constant, Noise, Sine, Square, Table, Telegraph
 
 number = st.floats(-10.0, 10.0)
 amplitude = number.filter(lambda a: a != 0.0)
@@ -15,6 +15,7 @@ sines = st.builds(Sine, amplitude, number, phase)
 squares = st.builds(Square, amplitude, period, phase)
 chirps = st.builds(Chirp, amplitude, number, number, period, phase)
 telegraphs = st.builds(Telegraph, amplitude, st.floats(0.1, 5.0), st.integers(0, 2**31 - 1))
+noises = st.builds(Noise, amplitude, st.floats(1e-2, 5.0), st.integers(0, 2**31 - 1))
 
 
 @st.composite
@@ -28,4 +29,4 @@ def tables(draw):
     return Table(times, values, draw(st.booleans()))
 
 
-terms = st.one_of(constants, sines, squares, chirps, telegraphs, tables())
+terms = st.one_of(constants, sines, squares, chirps, telegraphs, noises, tables())

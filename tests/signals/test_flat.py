@@ -18,9 +18,9 @@ from congelation.signals import (
     profile,
 )
 
-from .strategies import chirps, number, sines, squares, telegraphs, time
+from .strategies import chirps, noises, number, sines, squares, telegraphs, time
 
-ROOMY = Slots(sines=3, squares=3, chirps=2, telegraphs=2)
+ROOMY = Slots(sines=3, squares=3, chirps=2, telegraphs=2, noises=1)
 
 
 @st.composite
@@ -28,7 +28,7 @@ def in_order(draw):
     """Profiles in the order of their flat parameters, the form that survives the round trip."""
     mean = draw(number)
     terms = [Constant(mean)] if mean else []
-    for strategy, most in ((sines, 3), (squares, 3), (chirps, 2), (telegraphs, 2)):
+    for strategy, most in ((sines, 3), (squares, 3), (chirps, 2), (telegraphs, 2), (noises, 1)):
         terms += draw(st.lists(strategy, max_size=most))
     return Profile(tuple(terms))
 

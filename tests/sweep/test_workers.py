@@ -18,7 +18,7 @@ from congelation.sweep.execute import Job, Outcome, Task
 from congelation.sweep.plan import plan_study
 from congelation.sweep.workers import Finished, Local, Lost, Progress, Unfinished
 from tests.scenarios import write
-from tests.studies import environment, is_alive
+from tests.studies import is_alive
 
 HEAVY = ("scipy", "matplotlib", "casadi", "typer", "rich", "congelation.cli")
 
@@ -101,42 +101,3 @@ def test_a_worker_that_is_killed_between_runs_is_replaced(job: Job) -> None:
         other = int(ended(workers, "pid")["0"].outcome.message)
     assert other != pid
     assert not is_alive(other)
-
-
-LINES = """
-from congelation.sweep.engine import run
-results = run({file!r}, out={out!r}, workers=2)
-print(len(results.runs), set(results.runs["status"]))
-"""
-
-
-@pytest.mark.parametrize("form", ["script", "standard input"])
-def test_ten_lines_need_no_main_guard(tmp_path: Path, form: str) -> None:
-    text = LINES.format(file=str(write(tmp_path)), out=str(tmp_path / "out"))
-    (tmp_path / "script.py").write_text(text)
-    command = [sys.executable, *([str(tmp_path / "script.py")] if form == "script" else ["-"])]
-    done = subprocess.run(
-        command,
-        input=text if form != "script" else None,
-        env=environment(),
-        capture_output=True,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    assert (done.stdout, done.stderr) == ("2 {'COMPLETED'}\n", "")
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")  # of the notebook's own libraries
-def test_a_notebook_shows_progress_and_results(tmp_path: Path) -> None:
-    nbformat = pytest.importorskip("nbformat")
-    nbclient = pytest.importorskip("nbclient")
-    text = LINES.format(file=str(write(tmp_path)), out=str(tmp_path / "out"))
-    cells = [nbformat.v4.new_code_cell(source) for source in (text, "results")]
-    notebook = nbformat.v4.new_notebook(cells=cells)
-    nbclient.NotebookClient(notebook, timeout=120, kernel_name="python3").execute()
-    outputs = str(notebook.cells[0].outputs)
-    assert "2 {'COMPLETED'}" in outputs
-    assert "2 of 2 runs, 0 failed" in outputs
-    assert "<table>" in str(notebook.cells[1].outputs)

@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from congelation.conformance.bench import Bench, Job, from_text
+from congelation.conformance.bench import Bench, from_text
 from congelation.conformance.instance import Instance
+from congelation.conformance.job import Job
 from congelation.conformance.rule import Level, NotApplicable, NotEvaluated, dynamic
 from congelation.conformance.trajectory import Trajectory, demand, excite, first_difference, observe
 

@@ -45,6 +45,12 @@ class Derivative(Coupling):
         which has already stepped are interpolated between both ends of the step instead.
         "jacobi": all inputs are extrapolated, and after the step outputs and inputs are made to
         agree in the order of the declared dependencies.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> cg.simulate(system, stop_time=0.5, step=0.05, coupling=cg.Derivative()).status.name
+    'COMPLETED'
     """
 
     sequence: str = "gauss_seidel"

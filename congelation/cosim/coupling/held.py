@@ -33,6 +33,12 @@ class Jacobi(Coupling):
 
     Order 1. It is what most co-simulation engines do, and what a sampled controller with a delay
     of one sample sees.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> cg.simulate(system, stop_time=0.5, step=0.05, coupling=cg.Jacobi()).status.name
+    'COMPLETED'
     """
 
     name: ClassVar[str] = "jacobi"
@@ -100,6 +106,12 @@ class GaussSeidel(Coupling):
     from itself and the ones after it.
 
     Order 1, with a smaller error than `jacobi`.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> cg.simulate(system, stop_time=0.5, step=0.05, coupling=cg.GaussSeidel()).status.name
+    'COMPLETED'
     """
 
     name: ClassVar[str] = "gauss_seidel"
@@ -173,6 +185,13 @@ class Sampled(Coupling):
     delay : int
         0: at a sampling instant outputs that follow directly from inputs are computed with the new
         samples, so that a controller acts on them at once. 1: they act one sample later.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> sampled = cg.Sampled(sample_time=0.1)
+    >>> cg.simulate(system, stop_time=0.5, step=0.05, coupling=sampled).status.name
+    'COMPLETED'
     """
 
     sample_time: float

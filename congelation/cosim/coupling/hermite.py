@@ -82,6 +82,12 @@ class Hermite(Coupling):
     acceleration : str
         "broyden": quasi-Newton steps on the inputs that are fed back, which converge where loop
         gain times step is beyond 1; "none": plain iterations.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> cg.simulate(system, stop_time=0.5, step=0.05, coupling=cg.Hermite(order=6)).status.name
+    'COMPLETED'
     """
 
     order: int | None = None

@@ -77,6 +77,11 @@ def write_ssp(
         output, for which SSP has no connector.
     StoreError
         If the file cannot be written.
+
+    Examples
+    --------
+    >>> scenario = cg.load_scenario("scenarios/scalar.toml")
+    >>> cg.export_ssp(scenario, folder / "scalar.ssp", "Controller 2")
     """
     if step is not None and not 0.0 < step < math.inf:
         raise InvalidInput(f"step {step:g} is not valid; give a positive time in seconds")
