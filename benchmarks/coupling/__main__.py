@@ -10,8 +10,7 @@ import multiprocessing
 import sys
 import tempfile
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
+from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from benchmarks.__main__ import Part
@@ -26,7 +25,7 @@ DOCS = Path(__file__).absolute().parent.parent.parent / "docs"
 WORK = DOCS / "work_precision.md"
 DIAGRAMS = DOCS / "work_precision.png"
 
-PROCESSES = 2
+PROCESSES = 5
 """Error bars are counted, not timed: problems may be measured side by side."""
 
 
@@ -43,8 +42,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         folder = Path(name)
         build(folder)
         if not given.work:
-            text = "\n".join([*description(command), "", *_bars(folder, quick=given.quick)])
-            _written(DOCS / "trust.md", "error bars", text, quick=given.quick)
+            for lines in _bars(folder, quick=given.quick):
+                text = "\n".join([*description(command), "", *lines])
+                _written(DOCS / "trust.md", "error bars", text, quick=given.quick)
         if not given.trust:
             _written(WORK, "sources", "\n".join(sources()), quick=given.quick)
             for lines in _work(folder, quick=given.quick):
@@ -58,24 +58,29 @@ def sources() -> list[str]:
     return ["| problem | source |", "|---|---|", *(f"| {p.title} | {p.source} |" for p in PROBLEMS)]
 
 
-def _bars(folder: Path, *, quick: bool) -> list[str]:
+def _bars(folder: Path, *, quick: bool) -> Iterator[list[str]]:
+    """The lines of the page after each problem: a run that is broken off leaves what it has."""
     pairs: list[coverage.Pair] = []
     ended: list[str] = []
     problems = PROBLEMS[-1:] if quick else PROBLEMS
     with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as pool:
-        for problem, (found, without) in zip(
-            problems, pool.map(partial(coverage.measure, folder), problems), strict=True
-        ):
-            _say(f"error bars, {problem.title}: {len(found)} pairs")
+        # The new ones first: what is broken off has some of both.
+        order = sorted(problems, key=lambda problem: problem.known)
+        waiting = {pool.submit(coverage.measure, folder, problem): problem for problem in order}
+        for done in as_completed(waiting):
+            found, without = done.result()
+            _say(f"error bars, {waiting[done].title}: {len(found)} pairs")
             for pair in found:
                 if not pair.is_good:
-                    print(pair, file=sys.stderr)
+                    print(pair, file=sys.stderr, flush=True)
             pairs += found
             ended += without
-    lines = [*coverage.goals(pairs), "", *coverage.per_problem(pairs)]
-    if ended:
-        lines += ["", "Without bars:", "", *(f"- {line}" for line in ended)]
-    return lines
+            # In the order of the problems, whichever came first.
+            pairs.sort(key=lambda pair: PROBLEMS.index(pair.setting.problem))
+            lines = [*coverage.goals(pairs), "", *coverage.per_problem(pairs)]
+            if ended:
+                lines += ["", "Without bars:", "", *(f"- {line}" for line in sorted(ended))]
+            yield lines
 
 
 def _work(folder: Path, *, quick: bool) -> Iterator[list[str]]:

@@ -23,20 +23,19 @@ __all__ = ["FIXED", "TOLERANT", "Pair", "Setting", "goals", "measure", "per_prob
 Floats = npt.NDArray[np.float64]
 
 FIXED = (
-    ("held", "jacobi", 2),
-    ("held", "gauss_seidel", 2),
-    ("held", "derivative", 2),
-    ("full", "derivative", 2),
-    ("state", "hermite", 1),
-    ("full", "hermite", 2),
+    ("held", "jacobi", (0, 2)),
+    ("held", "gauss_seidel", (1,)),
+    ("held", "derivative", (1,)),
+    ("full", "derivative", (0,)),
+    ("state", "hermite", (0,)),
+    ("full", "hermite", (0, 2)),
 )
-"""Abilities of FMUs and coupling, with so many fixed steps: the first and third of a problem."""
+"""Abilities of FMUs and coupling, with the fixed steps: places among those of a problem."""
 
 TOLERANT = (
-    ("state", "derivative", (1e-2,)),
     ("full", "derivative", (1e-3,)),
     ("state", "hermite", (1e-2,)),
-    ("full", "hermite", (1e-3, 1e-5)),
+    ("full", "hermite", (1e-4,)),
 )
 """The same with steps chosen by tolerances."""
 
@@ -140,9 +139,9 @@ class Pair:
 
 def settings(problem: Problem) -> Iterator[Setting]:
     """All runs of a problem."""
-    for ability, coupling, count in FIXED:
-        for step in problem.steps[::2][:count]:
-            yield Setting(problem, ability, coupling, False, step)
+    for ability, coupling, places in FIXED:
+        for place in places:
+            yield Setting(problem, ability, coupling, False, problem.steps[place])
     for ability, coupling, tolerances in TOLERANT:
         for tolerance in tolerances:
             yield Setting(problem, ability, coupling, True, tolerance)

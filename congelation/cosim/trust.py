@@ -54,6 +54,9 @@ JITTER = 2.0
 FLOOR = 1e-8
 """Of a variable's peak: no band is narrower, as rounding and unfinished iterations count, too."""
 
+SLAVE_FLOOR = 0.1
+"""The same of the tolerance of the FMUs: theirs in the second run is a hundredth."""
+
 RESOLVED, ROUGH = 0.1, 0.3
 """Largest band over peak up to which a variable counts as resolved, and as rough."""
 
@@ -196,7 +199,11 @@ def trusted(
     given = output if output is not None else experiment.output or Output()
     first, *others = (given,) if isinstance(given, Output) else given
     rows, points = Memory(), At(None)
-    outputs = [first, *others, Output(sink=points)]
+    outputs = [first, *others]
+    # The communication points, unless they are the rows themselves, and rows that a sink takes.
+    is_every_point = first == Output()
+    if not is_every_point:
+        outputs.append(Output(sink=points))
     if first.sink is not None:
         outputs.append(replace(first, sink=rows))
     with ExitStack() as stack:
@@ -209,14 +216,13 @@ def trusted(
             closing(Ahead(system, experiment, first, _part(progress, 0.0, ONE_OF_THREE)))
         )
         base = run(experiment, outputs, progress=ahead.progress)
-        if not base.whole or len(points.times()) < 2:
+        reached = base.time if is_every_point else points.times()
+        if not base.whole or len(reached) < 2:
             return replace(base, trust=Trust.unknown("the run did not come to its end"))
         if not base.names:
             return replace(base, trust=Trust.unknown("nothing is recorded"))
         table = np.column_stack([base.time, base.values]) if first.sink is None else rows.rows()
-        again = Again(
-            run, experiment, base.statistics, points.times(), table, first.interval, ahead
-        )
+        again = Again(run, experiment, base.statistics, reached, table, first.interval, ahead)
         resolved = system.resolve()
         trust = _judged(
             again,
@@ -283,7 +289,10 @@ def _judged(
     notes: list[_Note] = []
     if mode == "order":
         order, notes = _observed(again, difference, ~switched, peaks, names)
-    floor = max(FLOOR, slave_tolerance(again.experiment) or 0.0) * peaks
+    if switches:
+        # Both runs may be late alike: what a variable changes over a step counts as well.
+        difference = np.maximum(difference, _over_a_step(again) / 2.0)
+    floor = max(FLOOR, SLAVE_FLOOR * (slave_tolerance(again.experiment) or 0.0)) * peaks
     powers = np.full(difference.shape, np.maximum(order, LEAST_ORDER))
     if statistics.order == HISTORY_ORDER:
         begun = time <= again.points[: STARTING + 1][-1]
@@ -377,6 +386,14 @@ INSIDE = "errors inside an FMU count only as far as they change with the step"
 
 def _percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share < 10.0 else f"{share:.2g} times"
+
+
+def _over_a_step(again: Again) -> Floats:
+    """By how much the values differ from those one communication step earlier, shape (N, M)."""
+    k = np.searchsorted(again.points, again.time).clip(1, len(again.points) - 1)
+    before = again.time - np.diff(again.points)[k - 1]
+    earlier = [np.interp(before, again.time, column) for column in again.values.T]
+    return np.asarray(np.abs(again.values - np.column_stack(earlier)), dtype=np.float64)
 
 
 def _is_switched(item: Recorded, values: Floats) -> bool:
