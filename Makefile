@@ -5,11 +5,12 @@ PYTHON ?= python3
 BIN := .venv/bin
 SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.txt' -o -name '*.png') build_fmu.py
 
-.PHONY: help demo test test-fast fuzz check format bench bench-coupling corpus docs fmus lock clean
+.PHONY: help demo test system-packages test-fast fuzz check format bench bench-coupling corpus docs fmus lock clean
 
 help:
 	@echo "make demo    Figs. 1-3 of the paper from FMUs, a sweep, and a page that links them all"
 	@echo "make test    the whole test suite"
+	@echo "make system-packages   what tests use that is no Python package (Debian, as root)"
 	@echo "make test-fast   the tests that are not marked slow"
 	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each"
 	@echo "make check   format, lint, types, import layers"
@@ -22,7 +23,7 @@ help:
 	@echo "make lock    resolve the dependencies anew into requirements*.lock"
 	@echo "make clean   remove what was generated"
 
-.venv/installed: pyproject.toml requirements.lock
+.venv/installed: pyproject.toml requirements.lock setup.py congelation/cosim/loop.c
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python >= 3.11 is needed; set PYTHON=..")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --requirement requirements.lock
@@ -45,17 +46,30 @@ DEMO := scalar fig1 fig2 fig3 fig3_r11 strike
 demo: fmus
 	@for name in $(DEMO); do \
 		$(BIN)/congelation run scenarios/$$name.toml --workers 2 --out results/$$name || exit $$?; \
-		$(BIN)/congelation report results/$$name --html results/$$name/report.html || exit $$?; \
+		$(BIN)/congelation report results/$$name || exit $$?; \
 	done
 	@$(BIN)/congelation sweep scenarios/rivals.toml --workers 2 --resume --out results/rivals
-	@$(BIN)/congelation report results/rivals --html results/rivals/report.html
+	@$(BIN)/congelation report results/rivals
 	@$(BIN)/python -m congelation.report.index results
 
+# Three processes on two cores, as tests that wait for processes leave one idle; the longest files first.
+PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+
+# Debian's packages that tests use; a test that lacks one is skipped, and says so.
+SYSTEM_PACKAGES := chromium
+
+system-packages:
+	@for name in $(SYSTEM_PACKAGES); do \
+		dpkg-query --show --showformat='$${Status}' $$name 2>/dev/null | grep -q "ok installed" || missing="$$missing $$name"; \
+	done; test -z "$$missing" || { apt-get update --quiet && apt-get install --yes --no-install-recommends $$missing; }
+
+# Where the system's packages can be had, they are installed; else the tests say what they skipped.
 test: fmus .venv-cofmupy/installed
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	-@if test "$$(id -u)" = 0 && command -v apt-get >/dev/null; then $(MAKE) --no-print-directory system-packages; fi
+	$(PYTEST)
 
 test-fast: fmus
-	$(BIN)/python -m pytest -m "not slow" -n 2 --dist loadfile
+	$(PYTEST) -m "not slow"
 
 fuzz: fmus
 	$(BIN)/python -m pytest -m fuzz --hypothesis-profile=fuzz

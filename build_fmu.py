@@ -31,10 +31,14 @@ STANDARD = (
     "saturation",
     "lag",
     "delay",
+    "active_suspension",
+    "stable_zero3",
     "tracking",
     "varying_gain",
     "unknown_radius",
     "nonlinear",
+    "bound_estimator",
+    "filtered_transformation",
 )
 
 

@@ -1,9 +1,11 @@
-"""Copies what the package needs at run time but keeps at the top level into it when it is built."""
+"""Copies what the package needs at run time but keeps at the top level into it when it is built,
+and compiles the stepping loop."""
 
+import os
 import shutil
 from pathlib import Path
 
-from setuptools import setup
+from setuptools import Extension, setup
 from setuptools.command.build_py import build_py
 
 SHIPPED = ("fmu_src", "scenarios", "specs")
@@ -24,4 +26,14 @@ class BuildWithShipped(build_py):
             shutil.copytree(name, target, ignore=shutil.ignore_patterns("__pycache__"))
 
 
-setup(cmdclass={"build_py": BuildWithShipped})
+# A plain shared library, called through ctypes; without a compiler the loop in Python runs. To have
+# equal bits with that one, each operation is rounded by itself.
+loop = Extension(
+    "congelation.cosim.loop",
+    ["congelation/cosim/loop.c"],
+    extra_compile_args=[] if os.name == "nt" else ["-std=c99", "-O2", "-ffp-contract=off"],
+    export_symbols=["run_held", "run_hermite", "work_size"],
+    optional=True,
+)
+
+setup(cmdclass={"build_py": BuildWithShipped}, ext_modules=[loop])

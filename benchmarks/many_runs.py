@@ -16,11 +16,12 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
+from congelation.results.record import Outcome
 from congelation.results.results import Results
 from congelation.scenario.axes import RandomAxis, Sweep
 from congelation.scenario.load import load_scenario
 from congelation.sweep.engine import Tally, carry_out
-from congelation.sweep.execute import Job, Outcome, Task
+from congelation.sweep.execute import Job, Task
 from congelation.sweep.plan import plan_study
 from congelation.sweep.workers import Local
 

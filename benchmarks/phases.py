@@ -10,8 +10,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any, ParamSpec, TypeVar
 
+from congelation.results.record import Outcome
 from congelation.sweep import execute
-from congelation.sweep.execute import Outcome
 
 __all__ = ["PHASES", "STEPPING", "Timers", "read_runs", "timed_execute"]
 

@@ -238,6 +238,14 @@ SCENARIO = Table(
     ),
 )
 
+TRANSFER = Table(
+    "A transfer function with intervals, for `congelation new --from`.",
+    (
+        Key("numerator", "values", "b_m .. b_0, each a number or [low, high]", None, True),
+        Key("denominator", "values", "1, a_(n-1) .. a_0, the same", None, True),
+    ),
+)
+
 STRUCTURE = Table(
     "What the form of a spec is derived from; each form has keys of its own.",
     (
@@ -270,6 +278,13 @@ STRUCTURE = Table(
             "whether delta is a parameter of the law, or a term of it is estimated",
             "known",
             choices=("known", "estimated"),
+        ),
+        Key(
+            "law",
+            "text",
+            "the controller: that of the paper, or a rival of it",
+            "congelation",
+            choices=("congelation", "bound-estimator", "filtered-transformation"),
         ),
         Key("A", "matrix", "of x' = A x + B (u + theta^T x)"),
         Key("B", "matrix", "of x' = A x + B (u + theta^T x)"),

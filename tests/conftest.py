@@ -31,6 +31,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.path.parent.name in SLOW_ROOMS:
             item.add_marker(pytest.mark.slow)
+    # First, so that no long file is left for the end, when the other processes have nothing to do.
+    items.sort(key=lambda item: item.path.parent.name not in SLOW_ROOMS)
 
 
 _STATUS = pytest.StashKey[int]()

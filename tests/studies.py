@@ -16,10 +16,10 @@ from unittest import mock
 
 from congelation.cli import main
 from congelation.cosim.pool import SlavePool
-from congelation.results.record import Trajectory
+from congelation.results.record import Outcome, Trajectory
 from congelation.results.results import Results
 from congelation.scenario.scenario import Scenario
-from congelation.sweep.execute import Outcome, execute
+from congelation.sweep.execute import execute
 from congelation.sweep.plan import plan_study
 from tests.scenarios import ROOT
 

@@ -30,6 +30,7 @@ _COMMANDS: Mapping[str, str] = {
     "run": "cli.runs",
     "sweep": "cli.runs",
     "report": "cli.results",
+    "open": "cli.results",
     "ls": "cli.results",
     "show": "cli.results",
     "export": "cli.results",

@@ -13,8 +13,9 @@ from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 
 from congelation.cli.shared import FAILED, INTERRUPTED, VIOLATED, complain, print_table
-from congelation.design.attack import OBJECTIVES, Attack, Find
+from congelation.design.attack import OBJECTIVES
 from congelation.design.attack import attack as search
+from congelation.design.finds import Attack, Find
 from congelation.design.foreign import attack_fmus as search_fmus
 from congelation.design.late import SETTLED
 from congelation.design.playback import write_finds
@@ -170,8 +171,11 @@ def _burst(find: Find) -> str | None:
     """One line on a late find."""
     if find.struck is None or find.growth is None:
         return None
-    if find.value <= SETTLED:
-        return f"{find.variant}: no burst found once |x| had settled below {SETTLED:g}"
+    if find.value <= SETTLED or find.growth <= 0.0:
+        return (
+            f"{find.variant}: no burst found once |x| had settled below {SETTLED:g} (largest "
+            f"|x| from then on {find.value:.4g})"
+        )
     return (
         f"{find.variant}: settled, struck at {find.struck:.4g} s, bursts to {find.value:.4g} "
         f"(with the estimates frozen the loop grows at {find.growth:.3g} 1/s)"
@@ -199,7 +203,7 @@ def tune(
         ),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Take the designs tried from the folder.")
+        bool, typer.Option("--resume", help="Go on from the designs in the folder.")
     ] = False,
 ) -> None:
     """Search for gains that meet a wish, or without one beat the spec's own; exit 1 if not met."""
@@ -221,7 +225,7 @@ def tune(
                 evaluations=evaluations,
                 seed=seed,
                 workers=workers,
-                journal=folder / "designs.jsonl",
+                out=folder,
                 resume=resume,
                 progress=lambda done, total: bar.update(task, completed=done, total=total),
             )

@@ -25,9 +25,26 @@ def new(
     name: Annotated[
         str, typer.Argument(help="Of the folder to make, and of the FMUs.", show_default=False)
     ],
+    source: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            metavar="FILE",
+            help="A transfer function with intervals for its coefficients (.toml).",
+            show_default="an example",
+        ),
+    ] = None,
+    spread: Annotated[
+        float,
+        typer.Option(
+            min=0.0,
+            help="With --from: half the width of the intervals of coefficients of the denominator "
+            "given as numbers, relative to them.",
+        ),
+    ] = 0.0,
 ) -> None:
     """Write a commented spec and scenario to start from, into the new folder NAME."""
-    folder = write_starter(name)
+    folder = write_starter(name, source=source, spread=spread)
     for line in (
         f"congelation build {folder / 'spec.toml'} --out {folder / 'fmus'}",
         f"congelation certify {folder / 'spec.toml'}",

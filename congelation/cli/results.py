@@ -1,14 +1,15 @@
-"""Commands on result directories: `report`, `ls`, `show`, `export`."""
+"""Commands on result directories: `report`, `open`, `ls`, `show`, `export`."""
 
 from __future__ import annotations
 
+import webbrowser
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from congelation.cli.shared import as_status, print_figures, print_json, print_summary
+from congelation.cli.shared import as_status, complain, print_figures, print_json, print_summary
 from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
 from congelation.places import check_file, check_folder
@@ -21,11 +22,14 @@ from congelation.results.figures import save
 from congelation.results.results import open_results
 from congelation.sweep.plan import FAILURES
 
-__all__ = ["export", "ls", "report", "show"]
+__all__ = ["export", "ls", "open", "report", "show"]
 
 Directory = Annotated[
     Path, typer.Argument(metavar="DIR", help="Result directory.", show_default=False)
 ]
+
+PAGE = "report.html"
+"""Name of the page in its result directory."""
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
@@ -33,7 +37,12 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 def report(
     folder: Directory,
     html: Annotated[
-        Path | None, typer.Option(help="Also write one self-contained HTML file.", metavar="FILE")
+        Path | None,
+        typer.Option(
+            help="Where to write the page, one self-contained HTML file.",
+            metavar="FILE",
+            show_default="DIR/report.html",
+        ),
     ] = None,
     by: Annotated[
         list[str] | None,
@@ -47,7 +56,7 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """Summarise a result directory and draw its figures, from stored results alone."""
+    """Summarise a result directory, draw its figures and write its page from stored results."""
     results = open_results(folder)
     study = results.study()
     if html is not None:
@@ -67,9 +76,20 @@ def report(
     if not (by or pareto):
         print_summary(results)
     print_figures(results)
-    if html is not None:
-        write_html(results, html)
-        print(html)
+    # Questions on the command line alone are answered there; a page of 10,000 runs takes seconds.
+    if html is not None or not (by or pareto):
+        page = html or folder / PAGE
+        write_html(results, page)
+        print(page)
+
+
+def open(folder: Directory) -> None:
+    """Write the page of a result directory, DIR/report.html, and show it in a browser."""
+    page = (folder / PAGE).absolute()
+    write_html(open_results(folder), page)
+    print(page)
+    if not webbrowser.open(page.as_uri()):
+        complain(f"there is no browser to show it in; open {page} in one")
 
 
 def ls(

@@ -212,22 +212,26 @@ class Checker:
         return "", ended.how + (f": {ended.said}" if ended.said else "")
 
     @contextmanager
-    def _job(self, able: Ability, *, rule: str = "", task: str = "") -> Iterator[Job]:
+    def _job(
+        self, able: Ability, *, rule: DynamicRule | None = None, task: str = ""
+    ) -> Iterator[Job]:
         """A job with a scratch directory, which goes away."""
+        name = task if rule is None else rule.id
         with TemporaryDirectory(
-            dir=self._root, prefix=f"{rule or task}-", ignore_cleanup_errors=True
+            dir=self._root, prefix=f"{name}-", ignore_cleanup_errors=True
         ) as scratch:
             yield Job(
                 directory=str(self._root / "fmu"),
                 companion=str(self._root / "companion"),
                 scratch=scratch,
-                rule=rule,
+                rule="" if rule is None else rule.id,
+                module="" if rule is None else rule.look.__module__,
                 task=task,
                 able=able,
             )
 
     def _in_child(self, rule: DynamicRule, able: Ability) -> Verdict:
-        with self._job(able, rule=rule.id) as job:
+        with self._job(able, rule=rule) as job:
             ended = self._children.run(job, rule.time_factor)
             where = Tape.read(job.tape)
         log = (ended.said,) if ended.said else ()

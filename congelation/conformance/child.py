@@ -13,12 +13,12 @@ import os
 import signal
 import sys
 from collections.abc import Callable, Mapping
+from importlib import import_module
 from pathlib import Path
 
 from congelation.conformance.bench import Bench, to_text
 from congelation.conformance.job import Ability, Job
-from congelation.conformance.rule import DynamicRule, NotApplicable, Violated, judge
-from congelation.conformance.rules import RULES
+from congelation.conformance.rule import BY_ID, DynamicRule, NotApplicable, Violated, judge
 from congelation.conformance.trajectory import demand, first_difference
 
 __all__ = ["main"]
@@ -38,7 +38,8 @@ def main() -> None:
     if job.task:
         _leave(job.result, _done(bench))
         os._exit(0)
-    rule = next(rule for rule in RULES if rule.id == job.rule)
+    import_module(job.module)  # which registers the rule
+    rule = BY_ID[job.rule]
     if not isinstance(rule, DynamicRule):
         raise TypeError(f"{rule.id} looks at no process")
     _leave(job.result, _judged(rule, bench))

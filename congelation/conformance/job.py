@@ -52,6 +52,8 @@ class Job:
     ----------
     rule : str
         Id of the rule, "" for a task.
+    module : str
+        Where the rule is.
     task, argument : str
         A task of `congelation.conformance.child` and its argument.
     directory : str
@@ -68,6 +70,7 @@ class Job:
     companion: str
     scratch: str
     rule: str = ""
+    module: str = ""
     task: str = ""
     argument: str = ""
     able: Ability = field(default_factory=lambda: Ability())

@@ -174,8 +174,9 @@ class DynamicRule(Rule):
     kind = "dynamic"
 
 
-# The cause of whatever differs after fmi2Reset.
-NOT_RESTORED = "fmi2Reset does not restore all"
+# The cause of whatever differs after fmi2Reset. It does not contain the name of the call, because a
+# call that fails is another fault.
+NOT_RESTORED = "the reset does not restore all"
 # The cause of whatever differs after fmi2SetFMUstate.
 STATE_NOT_RESTORED = "the FMU state does not hold all"
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -28,7 +29,7 @@ from congelation.cosim.system import (
 from congelation.fmi.description import Description, Variable
 from congelation.fmi.slave import Slave, State
 
-__all__ = ["LARGEST_VALUE", "NO_DERIVATIVE", "Ensemble"]
+__all__ = ["LARGEST_VALUE", "NO_DERIVATIVE", "Ensemble", "Transfer"]
 
 Floats = npt.NDArray[np.float64]
 Call = Callable[[], None]
@@ -71,6 +72,30 @@ class _Part:
             self.ranked[variable.name] = variable
 
 
+class Transfer(NamedTuple):
+    """One call that reads or sends values of a slave, as data; the compiled loop makes it as well.
+
+    Parameters
+    ----------
+    function : str
+        fmi2GetReal, fmi2SetReal, fmi2GetRealOutputDerivatives or fmi2SetRealInputDerivatives.
+    references : list of int, length n
+    orders : list of int
+        Of derivatives; empty for the first two functions.
+    values : array, shape (n,)
+        Where the values are read to, or sent from.
+    slots : sequence of (int, int)
+        The entries (order, link) of C that are gathered into `values` before they are sent, in
+        the units of the inputs; empty where `values` is a part of Y or C itself.
+    """
+
+    function: str
+    references: list[int]
+    orders: list[int]
+    values: Floats
+    slots: Sequence[tuple[int, int]] = ()
+
+
 class Ensemble:
     """The slaves of a system with their buffers.
 
@@ -107,6 +132,10 @@ class Ensemble:
         Send it its columns of C.
     hold : list of callables, one per slave
         Send it its columns of C[0] alone.
+    reads, writes, holds : list of list of Transfer, one per slave
+        What these three do, as data.
+    checked : list of array, one per slave
+        The parts of Y in which every value has to be finite.
     read_calls, write_calls : list of int, one per slave
         fmi2 calls that `read` and `write` take.
     stepping : bool
@@ -167,25 +196,29 @@ class Ensemble:
         self.Y: Floats = np.zeros(len(keys))
         self.read_calls = [bool(part.plain) + bool(part.ranked) for part in parts]
         self.read: list[Call] = []
-        self._checked: list[Floats] = []
+        self.reads: list[list[Transfer]] = []
+        self.checked: list[Floats] = []
         self._events: list[int] = []
         begin = 0
         for part, slave in zip(parts, self.slaves, strict=True):
             middle, end = begin + len(part.plain), begin + len(part.names)
-            calls = []
+            reads = []
             if part.plain:
                 references = [variable.reference for variable in part.plain.values()]
-                calls.append(slave.reader(references, self.Y[begin:middle]))
+                reads.append(Transfer("fmi2GetReal", references, [], self.Y[begin:middle]))
             if part.ranked:
                 references = [variable.reference for variable in part.ranked.values()]
-                call = slave.derivative_reader(references, 1, self.Y[middle:end])
-                calls.append(self._when_stepping(call))
-            self.read.append(_chained(calls))
+                orders = [1] * len(references)
+                reads.append(
+                    Transfer("fmi2GetRealOutputDerivatives", references, orders, self.Y[middle:end])
+                )
+            self.reads.append(reads)
+            self.read.append(self._calls(slave, reads))
             announces = EVENT in part.plain
             if announces:
                 self._events.append(middle - 1)
             # An announcement may be infinite, so the check of finite values stops before it.
-            self._checked.append(self.Y[begin : middle - announces])
+            self.checked.append(self.Y[begin : middle - announces])
             begin = end
 
     def place(self, member: int, name: str) -> int:
@@ -209,7 +242,7 @@ class Ensemble:
         RunEnded
             NON_FINITE or DIVERGED; the message names the variable.
         """
-        for part in self._checked:
+        for part in self.checked:
             # Also false for nan; one product instead of a search.
             if not part.dot(part) < LARGEST_VALUE**2:
                 break
@@ -244,7 +277,9 @@ class Ensemble:
         self.nominal = np.array([link.output.nominal for link in self.links])
         self.columns: list[slice] = []
         self.hold: list[Call] = []
+        self.holds: list[list[Transfer]] = []
         self.write: list[Call] = []
+        self.writes: list[list[Transfer]] = []
         self.write_calls: list[int] = []
         begin = 0
         for m, slave in enumerate(self.slaves):
@@ -253,14 +288,18 @@ class Ensemble:
             references = [link.input.reference for link in links]
             # Sorted by target, so that a slave's part of C[0] can be sent from where it stands.
             if any(link.converts for link in links):
-                values = np.zeros(len(links))
                 slots = [(0, k) for k in range(begin, columns.stop)]
-                hold = [self._gathered(slots, values, slave.writer(references, values))]
+                holds = [Transfer("fmi2SetReal", references, [], np.zeros(len(links)), slots)]
+            elif links:
+                holds = [Transfer("fmi2SetReal", references, [], self.C[0, columns])]
             else:
-                hold = [slave.writer(references, self.C[0, columns])] if links else []
+                holds = []
+            writes = self._writes(columns)
             self.columns.append(columns)
-            self.hold.append(_chained(hold))
-            self.write.append(self._writer(slave, columns))
+            self.holds.append(holds)
+            self.writes.append(writes)
+            self.hold.append(self._calls(slave, holds))
+            self.write.append(self._calls(slave, writes))
             self.write_calls.append(bool(links) + any(self._interpolates(link) for link in links))
             begin = columns.stop
 
@@ -276,10 +315,10 @@ class Ensemble:
         able = self.system.members[link.target].description.can_interpolate_inputs
         return able and link.target_derivatives[0] is None
 
-    def _writer(self, slave: Slave, columns: slice) -> Call:
+    def _writes(self, columns: slice) -> list[Transfer]:
         """What sends a slave all of its columns of C."""
         numbered = list(enumerate(self.links[columns], columns.start))
-        calls = []
+        transfers = []
         plain = [(0, k, link.input.reference) for k, link in numbered] + [
             (order, k, variable.reference)
             for k, link in numbered
@@ -287,9 +326,9 @@ class Ensemble:
             if variable is not None
         ]
         if plain:
+            references, slots = [r for _, _, r in plain], [(order, k) for order, k, _ in plain]
             values = np.zeros(len(plain))
-            send = slave.writer([reference for _, _, reference in plain], values)
-            calls.append(self._gathered([(order, k) for order, k, _ in plain], values, send))
+            transfers.append(Transfer("fmi2SetReal", references, [], values, slots))
         ranked = [
             (order, k)
             for k, link in numbered
@@ -297,31 +336,46 @@ class Ensemble:
             for order in range(1, 1 + MAX_DERIVATIVE)
         ]
         if ranked:
-            values = np.zeros(len(ranked))
             references = [self.links[k].input.reference for _, k in ranked]
-            send = slave.derivative_writer(references, [order for order, _ in ranked], values)
-            calls.append(self._when_stepping(self._gathered(ranked, values, send)))
+            orders, values = [order for order, _ in ranked], np.zeros(len(ranked))
+            transfers.append(
+                Transfer("fmi2SetRealInputDerivatives", references, orders, values, ranked)
+            )
+        return transfers
+
+    def _calls(self, slave: Slave, transfers: Sequence[Transfer]) -> Call:
+        """A function that makes all of some transfers."""
+        calls = []
+        for transfer in transfers:
+            call = slave.bound(transfer.function, *transfer[1:4])
+            if transfer.slots:
+                call = self._gathered(transfer.slots, transfer.values, call)
+            calls.append(self._when_stepping(call) if transfer.orders else call)
         return _chained(calls)
+
+    def converted(self, slots: Sequence[tuple[int, int]]) -> tuple[Floats, Floats] | None:
+        """Factors and offsets to the units of the inputs, for entries (order, link) of C; None
+        where all units are the same."""
+        if not any(self.links[k].converts for _, k in slots):
+            return None
+        factor = np.array([self.links[k].factor for _, k in slots])
+        # A derivative has no offset.
+        return factor, np.array([0.0 if order else self.links[k].offset for order, k in slots])
 
     def _gathered(self, slots: Sequence[tuple[int, int]], values: Floats, send: Call) -> Call:
         """Take the entries (order, link) of C, and send them in the units of the inputs."""
         C = self.C.reshape(-1)
         place = np.array([order * len(self.links) + k for order, k in slots], np.intp)
-        factor = np.array([self.links[k].factor for _, k in slots])
-        # A derivative has no offset.
-        offset = np.array([0.0 if order else self.links[k].offset for order, k in slots])
+        units = self.converted(slots)
 
         def write() -> None:
             C.take(place, out=values, mode="clip")
+            if units is not None:
+                np.multiply(values, units[0], out=values)
+                np.add(values, units[1], out=values)
             send()
 
-        def write_converted() -> None:
-            C.take(place, out=values, mode="clip")
-            np.multiply(values, factor, out=values)
-            np.add(values, offset, out=values)
-            send()
-
-        return write_converted if any(self.links[k].converts for _, k in slots) else write
+        return write
 
     def _when_stepping(self, call: Call) -> Call:
         """A call that FMI 2.0 allows once initialisation is over."""
@@ -375,6 +429,12 @@ class Ensemble:
         for slave, state in saved:
             slave.save_into(state)
         self.calls += 2 * len(saved)
+
+    def state_handles(self) -> list[State]:
+        """The handles of the states that `save` saves over, one per slave, for compiled code."""
+        if self.level not in self._states:
+            self._states[self.level] = [(slave, slave.state_handle()) for slave in self.slaves]
+        return [state for _, state in self._states[self.level]]
 
     def restore(self) -> None:
         """Take all slaves back to the saved states."""

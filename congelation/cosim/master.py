@@ -20,7 +20,7 @@ from congelation.cosim.experiment import (
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Columns, Memory, Output, Recorder
 from congelation.cosim.result import Result, RunEnded, Statistics, Status
-from congelation.cosim.stepping import Progress, Session, grid, nearness, run_adaptive, run_fixed
+from congelation.cosim.stepping import GivenPoints, Grid, Progress, Session, run_adaptive, run_fixed
 from congelation.cosim.system import System
 from congelation.cosim.trust import trusted
 from congelation.errors import InvalidInput, SlaveError
@@ -213,11 +213,11 @@ def _ended(
         try:
             state = session.initialise(slave_tolerance(experiment))
             if points is not None:
-                run_fixed(session, state, points, nearness(points, experiment.start_time))
+                run_fixed(session, state, GivenPoints(points, experiment.start_time))
             elif tolerance is not None:
                 run_adaptive(session, state, tolerance, step)
             elif step is not None:
-                run_fixed(session, state, *grid(session.start, session.stop, step))
+                run_fixed(session, state, Grid(session.start, session.stop, step))
             session.finish(completed=True)
             for slave in session.ensemble.slaves:
                 slave.complete()

@@ -25,7 +25,17 @@ from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.system import Recorded
 from congelation.errors import InvalidInput
 
-__all__ = ["BLOCK_ROWS", "Columns", "Memory", "Output", "ParquetFile", "Recorder", "Rows", "Sink"]
+__all__ = [
+    "BLOCK_ROWS",
+    "Columns",
+    "EveryStep",
+    "Memory",
+    "Output",
+    "ParquetFile",
+    "Recorder",
+    "Rows",
+    "Sink",
+]
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -209,6 +219,19 @@ class Recorder:
         row[0] = time
         return row[1:]
 
+    @property
+    def room(self) -> Floats:
+        """The rows of the block that are still free, shape (n, 1 + M), n >= 1, for compiled code
+        to fill; see `filled`."""
+        if self._rows == BLOCK_ROWS:
+            self._hand_over()
+            self._block = np.empty_like(self._block)
+        return self._block[self._rows :]
+
+    def filled(self, count: int) -> None:
+        """The first rows of `room` have been filled."""
+        self._rows += count
+
     def __enter__(self) -> Recorder:
         return self
 
@@ -285,6 +308,17 @@ class Columns:
         self.smooth: Indices = np.flatnonzero(every != NO_DERIVATIVE)
         self.slopes: Indices = every[self.smooth]
 
+    @property
+    def follows(self) -> bool:
+        """Whether all recorded values follow from Y alone."""
+        return not (self._latched or self._slow)
+
+    @property
+    def places(self) -> Indices | None:
+        """Where the recorded values stand in Y, shape (M,), if all of them stand there as they
+        are recorded."""
+        return self._places if self.follows and not self._converted else None
+
     def fill(self, row: Floats) -> None:
         """Write the recorded values, shape (M,), into `row`."""
         ensemble = self.ensemble
@@ -301,7 +335,15 @@ class Columns:
 
 
 class Rows(ABC):
-    """Takes communication points as they are reached, and records rows."""
+    """Takes communication points as they are reached, and records rows.
+
+    Attributes
+    ----------
+    columns : Columns
+        What is recorded.
+    """
+
+    columns: Columns
 
     @abstractmethod
     def start(self, time: float) -> None:
@@ -333,20 +375,25 @@ class EveryStep(Rows):
     recorder : Recorder
     every : int
         n.
+
+    Attributes
+    ----------
+    left : int
+        Communication points that are still to be left out.
     """
 
     def __init__(self, columns: Columns, recorder: Recorder, every: int) -> None:
-        self._columns = columns
-        self._recorder = recorder
-        self._every = every
-        self._left = 0
+        self.columns = columns
+        self.recorder = recorder
+        self.every = every
+        self.left = 0
 
     def start(self, time: float) -> None:
         self._record(time)
 
     def point(self, time: float) -> None:
-        if self._left:
-            self._left -= 1
+        if self.left:
+            self.left -= 1
         else:
             self._record(time)
 
@@ -357,12 +404,12 @@ class EveryStep(Rows):
         self._record(time)
 
     def finish(self, time: float, *, completed: bool) -> None:
-        if completed and self._left < self._every - 1:
+        if completed and self.left < self.every - 1:
             self._record(time)
 
     def _record(self, time: float) -> None:
-        self._left = self._every - 1
-        self._columns.fill(self._recorder.row(time))
+        self.left = self.every - 1
+        self.columns.fill(self.recorder.row(time))
 
 
 class OutputGrid(Rows):
@@ -382,7 +429,7 @@ class OutputGrid(Rows):
     """
 
     def __init__(self, columns: Columns, recorder: Recorder, interval: float) -> None:
-        self._columns = columns
+        self.columns = columns
         self._recorder = recorder
         self._interval = interval
         self._first = 0.0
@@ -418,12 +465,12 @@ class OutputGrid(Rows):
         self._add(time)
 
     def _add(self, time: float) -> None:
-        row = np.empty(self._columns.width)
-        self._columns.fill(row)
+        row = np.empty(self.columns.width)
+        self.columns.fill(row)
         keep = NODES - 1
         self._times = [*self._times[-keep:], time]
         self._values = [*self._values[-keep:], row]
-        slopes = self._columns.ensemble.Y[self._columns.slopes]
+        slopes = self.columns.ensemble.Y[self.columns.slopes]
         self._derivatives = [*self._derivatives[-keep:], slopes]
 
     def _close(self) -> None:
@@ -448,7 +495,7 @@ class OutputGrid(Rows):
         weights, _ = differentiation(np.array(self._times), time)
         row: Floats = weights @ np.array(self._values)
         nodes = slice(max(k - 1, 0), max(k - 1, 0) + SMOOTH_NODES)
-        smooth = self._columns.smooth
+        smooth = self.columns.smooth
         values = [row[smooth] for row in self._values[nodes]]
         weights, _ = interpolation(self._times[nodes], time)
         row[smooth] = weights @ np.array([*values, *self._derivatives[nodes]])

@@ -8,13 +8,26 @@ from __future__ import annotations
 
 import math
 import time as clock
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
+from congelation.cosim.compiled import (
+    CHUNK,
+    NOT_FINITE,
+    REFUSED,
+    UNUSUAL,
+    CompiledHeld,
+    CompiledHermite,
+    Loop,
+    fits,
+)
 from congelation.cosim.coupling import AdaptiveStepper, Coupling, Stepper, Trial
+from congelation.cosim.coupling.held import GaussSeidelStepper, JacobiStepper
+from congelation.cosim.coupling.hermite import HermiteStepper
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.experiment import step_count
@@ -23,8 +36,9 @@ from congelation.cosim.result import RunEnded, Statistics, Status
 from congelation.cosim.step_control import Halving, StepSize, halved, is_floor
 from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
-__all__ = ["Progress", "Session", "grid", "nearness", "run_adaptive", "run_fixed"]
+__all__ = ["GivenPoints", "Grid", "Progress", "Session", "run_adaptive", "run_fixed"]
 
+Floats = npt.NDArray[np.float64]
 Progress = Callable[[float], None]
 
 PROGRESS_PERIOD = 0.1
@@ -100,7 +114,7 @@ class Session:
         self._lands = coupling.lands_on_events and all(
             member.description.can_vary_step for member in ensemble.system.members
         )
-        self._rows = tuple(rows)
+        self.rows = tuple(rows)
         self._time = start
         self._progress = progress
         self._next_report = 0.0
@@ -143,7 +157,7 @@ class Session:
         self.stepper = self._coupling.stepper(ensemble, self._exchange, self._tolerance)
         state = self.stepper.start(self.start, None)
         self._is_initialised = True
-        for rows in self._rows:
+        for rows in self.rows:
             rows.start(self.start)
         return state
 
@@ -170,7 +184,7 @@ class Session:
         """
         ensemble = self.ensemble
         ensemble.check(before)
-        for rows in self._rows:
+        for rows in self.rows:
             rows.before_jump(before)
         ensemble.C[0] = ensemble.Y[ensemble.source]
         ensemble.C[1:] = 0.0
@@ -183,7 +197,7 @@ class Session:
         state = self.stepper.start(after, state)
         self.events += 1
         ensemble.check(after)
-        for rows in self._rows:
+        for rows in self.rows:
             rows.after_jump(after)
         self._count(after)
         return state
@@ -191,7 +205,7 @@ class Session:
     def record(self, time: float) -> None:
         """Check and record what was read at a communication point."""
         self.ensemble.check(time)
-        for rows in self._rows:
+        for rows in self.rows:
             rows.point(time)
         self._count(time)
 
@@ -207,6 +221,28 @@ class Session:
         if self._progress is not None and clock.monotonic() >= self._next_report:
             self.report((time - self.start) / (self.stop - self.start))
 
+    def took(self, loop: Loop, time: float) -> None:
+        """Count what the compiled loop did, up to the communication point `time`.
+
+        Raises
+        ------
+        RunEnded
+            TOO_MANY_STEPS.
+        """
+        if loop.steps:
+            self._time = loop.time  # where the last step began
+            self.steps += loop.steps - 1
+        self.rejected += loop.rejected
+        self.stepper.iterations += loop.passes
+        self.largest_error = max(self.largest_error, loop.largest_error)
+        if loop.steps:
+            self._count(time)
+
+    @property
+    def most(self) -> int:
+        """Steps that the compiled loop may make at once, those taken back included."""
+        return int(max(1, min(CHUNK, self._max_steps - self.steps - self.rejected)))
+
     def report(self, fraction: float) -> None:
         """Report progress, if anyone listens."""
         if self._progress is not None:
@@ -216,7 +252,7 @@ class Session:
     def finish(self, *, completed: bool) -> None:
         """Record what is still to be recorded."""
         if self._is_initialised:
-            for rows in self._rows:
+            for rows in self.rows:
                 rows.finish(self._time, completed=completed)
 
     def statistics(self, wall_time: float) -> Statistics:
@@ -248,19 +284,45 @@ def just_before(event: float) -> float:
     return event - UNITS_BEFORE * math.ulp(event)
 
 
-def grid(start: float, stop: float, step: float) -> tuple[Iterator[float], float]:
-    """The points t_0 + k h for `run_fixed`, the last one at the stop time exactly, and `near`."""
-    count = step_count(start, stop, step)
-    points = (stop if k == count else start + k * step for k in range(1, count + 1))
-    return points, EVENT_ROUNDING * min(step, stop - start)
+class Grid:
+    """The points t_0 + k h for `run_fixed`, the last one at the stop time exactly."""
+
+    def __init__(self, start: float, stop: float, step: float) -> None:
+        self._start, self._stop, self._step = start, stop, step
+        self._count = step_count(start, stop, step)
+        self.near = EVENT_ROUNDING * min(step, stop - start)
+
+    def __iter__(self) -> Iterator[float]:
+        for k in range(1, self._count):
+            yield self._start + k * self._step
+        yield self._stop
+
+    def after(self, k: int, most: int) -> Floats:
+        """The points that follow the first k, at most so many of them."""
+        last = min(self._count, k + most)
+        points = np.arange(k + 1, last + 1, dtype=np.float64) * self._step + self._start
+        if last == self._count:
+            points[-1:] = self._stop
+        return points
 
 
-def nearness(points: Sequence[float], start: float) -> float:
-    """`near` of any other points."""
-    return EVENT_ROUNDING * float(np.diff(points, prepend=start).min())
+class GivenPoints:
+    """Any other points for `run_fixed`, the last one the stop time."""
+
+    def __init__(self, points: Sequence[float], start: float) -> None:
+        self._points = np.asarray(points)
+        self.near = EVENT_ROUNDING * float(np.diff(self._points, prepend=start).min())
+
+    def __iter__(self) -> Iterator[float]:
+        return iter(self._points.tolist())
+
+    def after(self, k: int, most: int) -> Floats:
+        """As of `Grid`."""
+        found: Floats = self._points[k : k + most]
+        return found
 
 
-def run_fixed(session: Session, state: Any, points: Iterable[float], near: float) -> None:
+def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
     """Step from each communication point to the next; the last one is the stop time.
 
     Where a component announces a jump inside a step, the step is divided there.
@@ -270,15 +332,16 @@ def run_fixed(session: Session, state: Any, points: Iterable[float], near: float
     session : Session
     state
         Of the coupling, at the start time.
-    points : iterable of float
-        Communication points after the start, in seconds.
-    near : float
-        A jump this near to a point, in seconds, is taken to lie on it.
+    points : Grid or GivenPoints
+        Communication points after the start, in seconds. A jump within `near` of one is taken to
+        lie on it.
     """
-    start = session.start
+    start, near = session.start, points.near
     advance, record = session.stepper.advance, session.record
     event = session.next_event(start)
     time = start
+    if _run_held(session, points):
+        return
     for end in points:
         while event <= end + near:
             before = min(just_before(event), end)
@@ -296,6 +359,35 @@ def run_fixed(session: Session, state: Any, points: Iterable[float], near: float
             state = advance(state, time, end)
             record(end)
             time = end
+
+
+def _run_held(session: Session, points: Grid | GivenPoints) -> bool:
+    """Make all steps by the compiled loop, where it can: those of `jacobi` and `gauss_seidel`.
+
+    Returns
+    -------
+    bool
+        Whether it did.
+    """
+    stepper, ensemble, rows = session.stepper, session.ensemble, session.rows
+    if not (isinstance(stepper, JacobiStepper | GaussSeidelStepper) and fits(ensemble, rows)):
+        return False
+    compiled = CompiledHeld(ensemble, rows, sequential=stepper.sequential)
+    time, k = session.start, 0
+    while len(ends := points.after(k, session.most)):
+        code, made = compiled.run(time, ends)
+        if made:
+            time = float(ends[made - 1])
+        k += made
+        session.took(compiled.loop, time)
+        if code == REFUSED:
+            compiled.refuse()
+        if code == NOT_FINITE:
+            # Python says which value it is.
+            time = float(ends[made])
+            k += 1
+            session.record(time)
+    return True
 
 
 def run_adaptive(
@@ -323,10 +415,25 @@ def run_adaptive(
     guess = min(stepper.first_step(state), FIRST_SHARE * horizon)
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
+    compiled = _compiled_hermite(session, tolerance)
     while time < session.stop:
         event = session.next_event(time)
         target = min(session.stop, just_before(event))
         while time < target:
+            if compiled is not None:
+                code, state, size, time = compiled.run(
+                    state,
+                    size,
+                    time,
+                    target,
+                    most=session.most,
+                    records_target=math.isinf(event),
+                )
+                session.took(compiled.loop, time)
+                if code == REFUSED:
+                    compiled.refuse()
+                if code != UNUSUAL:
+                    continue
             ensemble.save()
             refused: tuple[float, float] | None = None
             while True:
@@ -358,6 +465,18 @@ def run_adaptive(
             state = session.cross(state, time, event)
             time = event
             size = size.restarted(min(size.length, stepper.first_step(state)))
+
+
+def _compiled_hermite(session: Session, tolerance: float) -> CompiledHermite | None:
+    """The compiled loop for `hermite`, if this is a run that it makes."""
+    stepper, rows = session.stepper, session.rows
+    if not (isinstance(stepper, HermiteStepper) and fits(session.ensemble, rows)):
+        return None
+    plan = stepper.plan()
+    if plan is None:
+        return None
+    horizon = session.stop - session.start
+    return CompiledHermite(session.ensemble, rows, plan, tolerance, horizon)
 
 
 def _end(time: float, length: float, target: float) -> float:

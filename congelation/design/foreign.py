@@ -20,7 +20,7 @@ from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.result import Result
 from congelation.cosim.system import System
-from congelation.design.attack import DIFFERENCE, Attack, Find
+from congelation.design.finds import DIFFERENCE, Attack, Find
 from congelation.design.free import maximise
 from congelation.design.playback import driven
 from congelation.design.problem import Admissible, Varied

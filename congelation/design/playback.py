@@ -13,7 +13,7 @@ from typing import Any
 import tomli_w
 
 from congelation.cosim.system import Component, Connection, System
-from congelation.design.attack import Attack, Find
+from congelation.design.finds import Attack, Find
 from congelation.design.problem import Varied
 from congelation.design.shooting import Cells
 from congelation.scenario.scenario import Experiment, Scenario

@@ -16,51 +16,29 @@ Criteria Decision Making Theory and Application, Springer 1980.
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import tomllib
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any, TextIO
 
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from congelation.design.problem import held
-from congelation.design.shooting import Cells, Shooting
+from congelation.design.candidates import OBJECTIVES, Bench, Candidates
 from congelation.errors import InvalidInput
 from congelation.export.assumptions import spec_assumptions
-from congelation.export.spec import Spec, read_spec
-from congelation.scenario.metrics import METRICS
-from congelation.signals import Profile, box_radius
-from congelation.theory.closed_loop import ClosedLoop, Segment, close
+from congelation.signals import box_radius
 from congelation.verify.certify import Design, certify_design
 
 __all__ = ["OBJECTIVES", "Proposal", "Tuning", "tune", "write_proposals"]
 
 Floats = NDArray[np.float64]
 
-OBJECTIVES = ("settling", "effort", "peak_input")
-"""Seconds until ``|x|`` stays below a bound; the integral of u^2; max |u|."""
-
-TUNED = ("k_bar", "c", "d", "Gamma", "gamma", "epsilon", "r", "rho", "Q")
-"""Parameters that candidates change, where a controller has them; matrices as a whole."""
-
 REACH = 2.0
 """Decades that a parameter may move from the spec's value, up or down."""
-
-HORIZON_CELLS = 400
-"""Cells of the horizon on which theta(t) is held in the search; proposals are solved without."""
-
-MOST_STEPS = 40_000
-"""A candidate that needs more is too stiff to be built, and counts as infeasible."""
 
 CERTIFY_SAMPLES = 1000
 
@@ -152,7 +130,7 @@ def tune(
     seed: int = 0,
     proposals: int = 6,
     workers: int = 1,
-    journal: Path | None = None,
+    out: Path | None = None,
     resume: bool = False,
     progress: Callable[[int, int], None] = lambda done, total: None,
 ) -> Tuning:
@@ -176,17 +154,17 @@ def tune(
         Most designs of the front to propose.
     workers : int
         Processes.
-    journal : Path, optional
-        Where each solved candidate is written at once.
+    out : Path, optional
+        A result directory (`cg.open_results`), which gets each candidate as a run at once.
     resume : bool
-        Take the candidates that the journal has from there.
+        Take the candidates that the directory has from there.
     progress : callable
         Called with the number of candidates solved, and of all.
 
     Raises
     ------
     InvalidInput
-        If the spec or a wish is not valid, or the journal is of another search.
+        If the spec or a wish is not valid, or the directory holds another search.
 
     Examples
     --------
@@ -195,38 +173,24 @@ def tune(
     True
     """
     spec = Path(spec)
-    bench = _Bench(spec, below, stop_time)
+    bench = Bench(spec, below, stop_time)
     own = bench.exact(np.zeros(bench.dimension))
     # A design that does not settle is asked to do so by the stop time.
     asked = (min(own[0], stop_time), *own[1:])
     wanted = _wishes(wishes, asked)
-    key = {
-        "spec": hashlib.sha256(spec.read_bytes()).hexdigest(),
-        "below": below,
-        "stop_time": stop_time,
-    }
-    with _Book(journal, key, resume) as book:
-        pool: Executor | None = None
+    with Candidates(bench, workers, out, resume) as candidates:
 
         def told() -> None:
-            progress(min(len(book.solved), evaluations), evaluations)
+            progress(min(len(candidates.solved), evaluations), evaluations)
 
-        if workers > 1:
-            pool = ProcessPoolExecutor(
-                workers, get_context("spawn"), _open_bench, (spec, below, stop_time)
-            )
-        try:
-            for share, goal in zip(SHARES, _goals(wanted, asked), strict=True):
-                _descend(bench, goal, int(share * evaluations), seed, pool, book, told)
-        finally:
-            if pool is not None:
-                pool.shutdown(cancel_futures=True)
-        points = [(np.array(v), o) for v, o in book.solved.items() if o is not None]
+        for share, goal in zip(SHARES, _goals(wanted, asked), strict=True):
+            _descend(candidates, goal, int(share * evaluations), seed, told)
+    points = [(np.array(v), o) for v, o in candidates.solved.items() if o is not None]
     if not points:
         raise InvalidInput(f"{spec}: no candidate could be solved for {stop_time:g} s")
     values = np.array([o for _, o in points])
     front = [points[i][0] for i in _front(values, wanted, proposals)]
-    proposed = [bench.proposal(v) for v in front]
+    proposed = [_proposal(bench, v) for v in front]
     certified = [p for p in proposed if p.certified] or proposed
     nearest = min(
         certified, key=lambda p: _achievement([p.objectives[n] for n in OBJECTIVES], wanted)
@@ -238,7 +202,7 @@ def tune(
         nearest,
         (nearest, *(p for p in certified if p is not nearest)),
         dict(zip(OBJECTIVES, values.min(axis=0).tolist(), strict=True)),
-        len(book.solved),
+        len(candidates.solved),
     )
 
 
@@ -261,162 +225,11 @@ def write_proposals(found: Tuning, folder: Path) -> list[Path]:
     return files
 
 
-class _Bench:
-    """A spec on which candidates are solved; a candidate is a vector of powers of ten."""
-
-    def __init__(self, file: Path, below: float, stop_time: float) -> None:
-        self.spec: Spec = read_spec(file)
-        self.below, self.stop = below, stop_time
-        model = self.spec.controller.model
-        defaults = model.defaults()
-        self.own = {name: defaults[name] for name in TUNED if name in defaults}
-        # A vector's elements move one by one, a matrix as a whole.
-        self._parts = [
-            (name, index)
-            for name, value in self.own.items()
-            for index in (range(value.size) if value.shape[1] == 1 else (slice(None),))
-        ]
-        self.dimension = len(self._parts)
-
-    @cached_property
-    def profiles(self) -> list[Profile]:
-        return [slots.profile for slots in self.spec.plant.profiles]
-
-    @cached_property
-    def cells(self) -> Cells:
-        return held(self.profiles, 0.0, self.stop, self.stop / HORIZON_CELLS)
-
-    def values(self, vector: Floats) -> dict[str, Floats]:
-        """The parameters of a candidate, to four digits."""
-        changed = {name: value.copy() for name, value in self.own.items()}
-        for (name, index), power in zip(self._parts, vector, strict=True):
-            changed[name].reshape(-1)[index] *= 10.0**power
-        return {name: _rounded(value) for name, value in changed.items()}
-
-    def loop(self, vector: Floats) -> ClosedLoop:
-        model = self.spec.controller.model
-        return close(self.spec.plant.model, model, {**model.defaults(), **self.values(vector)})
-
-    def solve(self, vector: Floats) -> tuple[float, ...] | None:
-        """The objectives of a candidate; None where it does not exist or is too stiff."""
-        try:
-            loop = self.loop(vector)
-            shooting = Shooting(loop, loop.bound_signal("controller.u"), rtol=1e-6, atol=1e-8)
-            path = shooting.solve(loop.start(), self.cells, most_steps=MOST_STEPS)
-        except InvalidInput:
-            return None
-        if not path.finished:
-            return None
-        x = path.states[:, : len(self.spec.plant.model.states[0].variables.names)]
-        settling, *others = self._objectives(path.time, x, path.integral, path.peak)
-        if math.isinf(settling):  # so that the search sees which of two is nearer
-            end = float(np.linalg.norm(x[-1]))
-            settling = self.stop * (1.0 + math.log(max(end / self.below, 1.0)))
-        return settling, *others
-
-    def exact(self, vector: Floats) -> tuple[float, ...]:
-        """The objectives under theta(t) itself, by DOP853."""
-        loop = self.loop(vector)
-        times = np.linspace(0.0, self.stop, 20_001)
-        start, segments = 0.0, []
-        while start < self.stop:
-            pieces = [profile.segment(start) for profile in self.profiles]
-            end = min(self.stop, *(piece.end for piece in pieces))
-            segments.append(Segment(start, end, partial(_theta, pieces)))
-            start = end
-        # More rows where the transient is.
-        times = np.union1d(times, np.geomspace(1e-6, self.stop, 2000))
-        solution = loop.solve(segments, loop.start(), times, rtol=1e-10, atol=1e-12)
-        if not solution.success:
-            raise InvalidInput(
-                f"{self.spec.title}: the loop could not be solved: {solution.message}"
-            )
-        names = [n.split("[")[0] for n in loop.output_names]
-        u = solution.outputs[:, [n == "controller.u" for n in names]]
-        x = solution.states[:, : len(self.spec.plant.model.states[0].variables.names)]
-        effort = float(METRICS["ise"].function(solution.time, u) or 0.0)
-        return self._objectives(solution.time, x, effort, float(np.abs(u).max()))
-
-    def proposal(self, vector: Floats) -> Proposal:
-        loop = self.loop(vector)
-        remarks = spec_assumptions(self.spec)
-        design = Design(self.spec.title, loop, box_radius(self.profiles), remarks)
-        own = self.own
-        changed = {n: v for n, v in self.values(vector).items() if (v != own[n]).any()}
-        objectives = dict(zip(OBJECTIVES, self.exact(vector), strict=True))
-        return Proposal(changed, objectives, certify_design(design, CERTIFY_SAMPLES).holds)
-
-    def _objectives(
-        self, time: Floats, x: Floats, effort: float, peak: float
-    ) -> tuple[float, float, float]:
-        settling = float(METRICS["settling_time"].function(time, x, below=self.below) or 0.0)
-        return settling, effort, peak
-
-
-class _Book:
-    """The candidates solved so far, kept in a file of one line each."""
-
-    def __init__(self, file: Path | None, key: Mapping[str, object], resume: bool) -> None:
-        self._file, self._key = file, key
-        self._stream: TextIO | None = None
-        self.solved: dict[tuple[float, ...], tuple[float, ...] | None] = {}
-        self.known: dict[tuple[float, ...], tuple[float, ...] | None] = {}
-        if file is None:
-            return
-        if file.exists() and not resume:
-            raise InvalidInput(
-                f"{file} is there already; go on with --resume, or choose another --out"
-            )
-        if file.exists():
-            head, *lines = file.read_text("utf-8").splitlines()
-            if json.loads(head) != dict(key):
-                raise InvalidInput(f"{file} is of another spec or horizon; choose another --out")
-            for line in lines:
-                try:
-                    vector, objectives = json.loads(line)
-                except ValueError:  # the last line of a search that was killed
-                    continue
-                self.known[tuple(vector)] = None if objectives is None else tuple(objectives)
-
-    def __enter__(self) -> _Book:
-        if self._file is not None:
-            self._file.parent.mkdir(parents=True, exist_ok=True)
-            fresh = not self._file.exists()
-            self._stream = self._file.open("a", encoding="utf-8")
-            if fresh:
-                print(json.dumps(dict(self._key)), file=self._stream, flush=True)
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        if self._stream is not None:
-            self._stream.close()
-
-    def write(self, vector: tuple[float, ...], objectives: tuple[float, ...] | None) -> None:
-        """Keep a candidate, and in the file if it is not there."""
-        self.solved[vector] = objectives
-        if self._stream is not None and vector not in self.known:
-            print(json.dumps([vector, objectives]), file=self._stream, flush=True)
-
-
-_here: list[_Bench] = []
-"""The bench of a worker process."""
-
-
-def _open_bench(spec: Path, below: float, stop_time: float) -> None:
-    _here[:] = [_Bench(spec, below, stop_time)]
-
-
-def _solve_here(vector: tuple[float, ...]) -> tuple[float, ...] | None:
-    return _here[0].solve(np.array(vector))
-
-
 def _descend(
-    bench: _Bench,
+    candidates: Candidates,
     goal: Mapping[str, float],
     evaluations: int,
     seed: int,
-    pool: Executor | None,
-    book: _Book,
     progress: Callable[[], None],
 ) -> None:
     """One run of the strategy towards a goal, from the spec's own design."""
@@ -430,26 +243,24 @@ def _descend(
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the strategy's advice on its options
-        strategy = cma.CMAEvolutionStrategy(np.zeros(bench.dimension), 0.5, options)
+        strategy = cma.CMAEvolutionStrategy(np.zeros(candidates.bench.dimension), 0.5, options)
         done = 0
         while done < evaluations and not strategy.stop():
             asked = [tuple(np.round(v, 4).tolist()) for v in strategy.ask()]
-            new = [v for v in asked if v not in book.known and v not in book.solved]
-            found: Iterable[tuple[float, ...] | None]
-            if pool is None:
-                found = (bench.solve(np.array(v)) for v in new)
-            else:
-                found = pool.map(_solve_here, new)
-            for vector, objectives in zip(new, found, strict=True):
-                book.write(vector, objectives)
-            for vector in asked:
-                if vector in book.known:
-                    book.write(vector, book.known[vector])
+            found = candidates.solve(asked)
             done += len(asked)
             progress()
-            strategy.tell(
-                [list(v) for v in asked], [_achievement(book.solved[v], goal) for v in asked]
-            )
+            strategy.tell([list(v) for v in asked], [_achievement(o, goal) for o in found])
+
+
+def _proposal(bench: Bench, vector: Floats) -> Proposal:
+    loop = bench.loop(vector)
+    remarks = spec_assumptions(bench.spec)
+    design = Design(bench.spec.title, loop, box_radius(bench.profiles), remarks)
+    own = bench.own
+    changed = {n: v for n, v in bench.values(vector).items() if (v != own[n]).any()}
+    objectives = dict(zip(OBJECTIVES, bench.exact(vector), strict=True))
+    return Proposal(changed, objectives, certify_design(design, CERTIFY_SAMPLES).holds)
 
 
 def _achievement(objectives: Sequence[float] | None, goal: Mapping[str, float]) -> float:
@@ -499,14 +310,6 @@ def _front(values: Floats, wishes: Mapping[str, float], most: int) -> list[int]:
             break
         chosen.append(kept[int(np.argmax(gaps))])
     return chosen
-
-
-def _theta(pieces: Sequence[Any], t: float) -> list[float]:
-    return [piece.value(t) for piece in pieces]
-
-
-def _rounded(value: Floats) -> Floats:
-    return np.array([float(f"{v:.4g}") for v in value.ravel()]).reshape(value.shape)
 
 
 def _plain(value: Floats) -> object:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import importlib.resources
 import re
 from pathlib import Path
+from typing import Any
 
 from congelation.errors import InvalidInput
+from congelation.export.transfer import marks, transfer_function
 from congelation.places import check_folder, shipped
 
 __all__ = ["copy_examples", "write_starter"]
@@ -48,7 +50,9 @@ def copy_examples(folder: Path | str) -> list[Path]:
     return list(texts)
 
 
-def write_starter(name: str, folder: Path | str = ".") -> Path:
+def write_starter(
+    name: str, folder: Path | str = ".", source: Any = None, spread: float = 0.0
+) -> Path:
     """Write a commented spec and scenario to start from, into the new folder `name`.
 
     Parameters
@@ -58,6 +62,12 @@ def write_starter(name: str, folder: Path | str = ".") -> Path:
         WingFlapPlant and WingFlapController.
     folder : Path or str
         Where to make it.
+    source : Path, str, mapping or python-control system, optional
+        The transfer function of the plant, see `congelation.export.transfer`; without one the
+        spec is of an example in state feedback.
+    spread : float
+        Half the width of the intervals of the coefficients of its denominator that are given as
+        numbers, relative to them.
 
     Returns
     -------
@@ -67,29 +77,39 @@ def write_starter(name: str, folder: Path | str = ".") -> Path:
     Raises
     ------
     InvalidInput
-        The name is not valid, or there is such a folder already.
+        The name is not valid, there is such a folder already, or the transfer function breaks an
+        assumption.
 
     Examples
     --------
     >>> made = cg.new("wing_flap", folder)
     >>> sorted(file.name for file in made.iterdir())
     ['scenario.toml', 'spec.toml']
+    >>> plant = {"numerator": [2.0], "denominator": [1.0, [0.5, 1.5], [-1.0, 1.0]]}
+    >>> made = cg.new("servo", folder, plant)
     """
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InvalidInput(
             f"NAME '{name}' is not valid; give letters, digits and _, beginning with a letter"
         )
+    kind, further = "", {}
+    if source is not None:
+        kind, further = "_output", marks(transfer_function(source, spread))
+    elif spread:
+        raise InvalidInput("spread has no effect without a transfer function; give one as well")
     made = Path(folder) / name
     if made.exists():
         raise InvalidInput(f"{made} is there already; give another name")
     check_folder("NAME", made)
     words = {
+        **further,
         "@NAME@": name,
         "@FOLDER@": str(made),
         "@FMU@": "".join(part[:1].upper() + part[1:] for part in name.split("_")),
     }
     for file in ("spec.toml", "scenario.toml"):
-        template = importlib.resources.files("congelation.export") / "starter" / file
+        shape = file.replace(".toml", f"{kind}.toml")
+        template = importlib.resources.files("congelation.export") / "starter" / shape
         text = template.read_text("utf-8")
         for mark, word in words.items():
             text = text.replace(mark, word)

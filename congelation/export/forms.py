@@ -11,13 +11,15 @@ from congelation.export.equations import Special
 from congelation.signals import Slots
 from congelation.theory.adaptation import NEUTRAL, AdaptationFactory, gradient, robust
 from congelation.theory.blocks import delay, disturbance, lag, noise, reference, saturation
+from congelation.theory.filtered_transformation import filtered_transformation_controller
 from congelation.theory.kfilter import FilterFactory, iss_filter, standard_filter
 from congelation.theory.matching import matched_controller, matched_plant
 from congelation.theory.model import Model
 from congelation.theory.observer_form import observer_form_plant
+from congelation.theory.options import Options
 from congelation.theory.output_feedback import output_feedback_controller
 from congelation.theory.scalar import scalar_controller, scalar_plant
-from congelation.theory.state_feedback import Options, state_feedback_controller
+from congelation.theory.state_feedback import state_feedback_controller
 from congelation.theory.strict_feedback import Nonlinear, Regressors, strict_feedback_plant
 
 __all__ = ["BLOCKS", "FORMS", "BlockForm", "Form", "Structure", "fit", "models_of"]
@@ -50,10 +52,17 @@ class Form:
     optional: Mapping[str, object] = field(default_factory=dict)
     law: tuple[str, ...] = ()
 
-    def models(self, structure: Structure) -> tuple[Model, Model, Special]:
-        """Plant, controller with every adaptation law, and its special case without them."""
-        plain = Special(self.controller(structure, gradient), NEUTRAL)
-        return self.plant(structure), self.controller(structure, robust), plain
+    def models(self, structure: Structure) -> tuple[Model, Model, Special | None]:
+        """Plant, controller with every adaptation law, and its special case without them.
+
+        None where the controller has adaptation laws of its own.
+        """
+        general = self.controller(structure, robust)
+        names = {parameter.variables.name for parameter in general.parameters}
+        plain = None
+        if names.issuperset(NEUTRAL):
+            plain = Special(self.controller(structure, gradient), NEUTRAL)
+        return self.plant(structure), general, plain
 
 
 @dataclass(frozen=True)
@@ -124,7 +133,35 @@ def _options(structure: Structure) -> Options:
         tracking=bool(structure.get("tracking", False)),
         varying_gain=structure.get("gain", "constant") == "varying",
         unknown_radius=structure.get("radius", "known") == "estimated",
+        bound_estimator=structure.get("law", "congelation") == "bound-estimator",
     )
+
+
+def _output_feedback(structure: Structure, law: AdaptationFactory) -> Model:
+    """The controller of the observer form, by the law that its structure names."""
+    n, m, options = _order(structure, "n"), _order(structure, "m"), _options(structure)
+    name = structure.get("law", "congelation")
+    if name == "filtered-transformation":
+        if "tracking" in structure or "radius" in structure or "gain" in structure:
+            raise InvalidInput(
+                "law = 'filtered-transformation' is a regulator that knows no radius; leave out "
+                "tracking, radius and gain (docs/rivals.md)"
+            )
+        return filtered_transformation_controller(n, m)
+    _check_law(name, "observer", ("congelation", "filtered-transformation"))
+    return output_feedback_controller(n, m, law, _filter(structure), options)
+
+
+def _state_feedback(structure: Structure, law: AdaptationFactory) -> Model:
+    """The controller of the strict-feedback form."""
+    name = structure.get("law", "congelation")
+    _check_law(name, "strict-feedback", ("congelation", "bound-estimator"))
+    return state_feedback_controller(_regressors(structure), law, _options(structure))
+
+
+def _check_law(name: str, form: str, offered: tuple[str, ...]) -> None:
+    if name not in offered:
+        raise InvalidInput(f"law = '{name}' is none of form '{form}'; {nearest(name, offered)}")
 
 
 FORMS: Mapping[str, Form] = {
@@ -139,17 +176,18 @@ FORMS: Mapping[str, Form] = {
         lambda s, law: matched_controller(s["A"], s["B"], law),
     ),
     "strict-feedback": Form(
-        ("n", "p", "phibar", "phi", "gain", "tracking", "radius"),
+        ("n", "p", "phibar", "phi", "gain", "tracking", "radius", "law"),
         lambda s: strict_feedback_plant(_regressors(s), _options(s).varying_gain),
-        lambda s, law: state_feedback_controller(_regressors(s), law, _options(s)),
-        dict.fromkeys(("phibar", "phi", "gain", "tracking", "radius")),
-        ("tracking", "radius"),
+        _state_feedback,
+        dict.fromkeys(("phibar", "phi", "gain", "tracking", "radius", "law")),
+        ("tracking", "radius", "law"),
     ),
     "observer": Form(
-        ("n", "m", "filter"),
+        ("n", "m", "filter", "tracking", "radius", "gain", "law"),
         lambda s: observer_form_plant(_order(s, "n"), _order(s, "m")),
-        lambda s, law: output_feedback_controller(_order(s, "n"), _order(s, "m"), law, _filter(s)),
-        {"filter": "iss"},
+        _output_feedback,
+        {"filter": "iss", **dict.fromkeys(("tracking", "radius", "gain", "law"))},
+        ("filter", "tracking", "radius", "law"),
     ),
 }
 
@@ -169,9 +207,7 @@ BLOCKS: Mapping[str, BlockForm] = {
         {"sines": 2},
     ),
     "disturbance": _sized(disturbance, "driven"),
-    "noise": _sized(
-        noise, "driven", Slots(sines=0, squares=0, chirps=0, telegraphs=0, table=False, noises=1)
-    ),
+    "noise": _sized(noise, "driven", Slots(noises=1)),
     "saturation": _sized(saturation, "block"),
     "lag": _sized(lag, "block"),
     "delay": _sized(delay, "delay"),

@@ -29,8 +29,10 @@ The forms and the keys of their structure:
     strict-feedback    n, p, phibar: (9), a table of the rows phibar_{i,j} that are not 0;
                        or phi: formulas, {1 = ["x[1]**2", "sin(x[1])"]}, p in each row;
                        gain = "varying": the input gain b(t) is the last element of theta;
-                       tracking, radius = "estimated": what the law is to cope with
-    observer           n, m, filter: (27), with the "iss" or the "standard" K-filter
+                       tracking, radius = "estimated": what the law is to cope with;
+                       law = "bound-estimator": a rival of congelation
+    observer           n, m, filter: (27), with the "iss" or the "standard" K-filter;
+                       tracking, radius as above; law = "filtered-transformation": a rival
 
 A block to put between them, or to drive them with, is a spec of one FMU:
 
@@ -311,7 +313,12 @@ def _units(section: Section, *models: Model) -> Units:
         for unit in map(str, names):
             section.attempt(name, partial(base_unit, unit or "1"))
         units[name] = value if isinstance(value, str) else [str(unit) for unit in names]
-    return {"theta_hat": units["theta"], **units} if "theta" in units else units
+    if "theta" in units and "theta_hat" in sizes:
+        # An input gain b(t) is an element of theta, but none of theta_hat.
+        shared = units["theta"]
+        own = shared if isinstance(shared, str) else shared[: sizes["theta_hat"]]
+        return {"theta_hat": own, **units}
+    return units
 
 
 def _block(section: Section, model: Model, special: Special | None) -> FmuSpec:

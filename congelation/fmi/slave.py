@@ -10,7 +10,7 @@ import ctypes
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -187,34 +187,23 @@ class Slave:
             return [(value or b"").decode() for value in values]
         return [bool(value) for value in values] if kind == "Boolean" else list(values)
 
-    def reader(self, references: Sequence[int], values: Floats) -> Callable[[], None]:
-        """A function that reads Real variables into `values`, in one call.
+    def bound(
+        self, function: str, references: Sequence[int], orders: Sequence[int], values: Floats
+    ) -> Callable[[], None]:
+        """A function without arguments that reads or sets Real variables, or derivatives of them.
 
         Parameters
         ----------
+        function : str
+            fmi2GetReal, fmi2SetReal, fmi2GetRealOutputDerivatives or fmi2SetRealInputDerivatives.
         references : sequence of int, length n
+        orders : sequence of int, length n
+            Of the derivatives; empty for the first two functions.
         values : array, shape (n,)
-            Contiguous; it is kept and overwritten at each call.
+            Contiguous; it is kept, and read or overwritten at each call.
         """
-        return self._bound("fmi2GetReal", references, values)
-
-    def writer(self, references: Sequence[int], values: Floats) -> Callable[[], None]:
-        """A function that sets Real variables from `values`, shape (n,), in one call."""
-        return self._bound("fmi2SetReal", references, values)
-
-    def derivative_reader(
-        self, references: Sequence[int], order: int, values: Floats
-    ) -> Callable[[], None]:
-        """A function that reads output derivatives (fmi2GetRealOutputDerivatives)."""
-        orders = (ctypes.c_int * len(references))(*[order] * len(references))
-        return self._bound("fmi2GetRealOutputDerivatives", references, values, orders)
-
-    def derivative_writer(
-        self, references: Sequence[int], orders: Sequence[int], values: Floats
-    ) -> Callable[[], None]:
-        """A function that sets input derivatives (fmi2SetRealInputDerivatives)."""
-        array = (ctypes.c_int * len(references))(*orders)
-        return self._bound("fmi2SetRealInputDerivatives", references, values, array)
+        between = [(ctypes.c_int * len(orders))(*orders)] if orders else []
+        return self._bound(function, references, values, *between)
 
     # -- stepping -----------------------------------------------------------------------------
 
@@ -237,10 +226,23 @@ class Slave:
         refusals = self.log.refusals
         self._note[0] = self._step_code
         status = self._do_step(self._component, time, length, no_return)
-        if status == DISCARD and self.log.refusals == refusals:
-            self._end_if_terminated()
         if status > WARNING:
-            self._fail("fmi2DoStep", status)
+            self.refused("fmi2DoStep", status, refusals)
+
+    def refused(self, function: str, status: int, refusals: int) -> NoReturn:
+        """Raise what a status above fmi2Warning means.
+
+        Parameters
+        ----------
+        function : str
+            Which returned it.
+        status : int
+        refusals : int
+            Messages of refusal that the log held before the call.
+        """
+        if function == "fmi2DoStep" and status == DISCARD and self.log.refusals == refusals:
+            self._end_if_terminated()
+        self._fail(function, status)
 
     def _end_if_terminated(self) -> None:
         """After fmi2Discard: ask whether the FMU wants no further step (FMI 2.0, 4.2.3).
@@ -258,10 +260,15 @@ class Slave:
             reason = self._reason("it gave no reason")
             raise SlaveTerminated(f"{self.name} at t = {self.time:.9g} ended the run: {reason}")
 
-    def save(self) -> State:
-        """fmi2GetFMUstate."""
+    def state_handle(self) -> State:
+        """A handle that no state has been saved to; it is freed with the others."""
         state = State()
         self._states.append(state)
+        return state
+
+    def save(self) -> State:
+        """fmi2GetFMUstate."""
+        state = self.state_handle()
         self._note[0] = self._save_code
         self._check("fmi2GetFMUstate", self._get_state(self._component, ctypes.byref(state)))
         return state
@@ -325,7 +332,7 @@ class Slave:
         if status > WARNING:
             self._fail(function, status)
 
-    def _fail(self, function: str, status: int) -> None:
+    def _fail(self, function: str, status: int) -> NoReturn:
         self._broken = self._broken or status >= FATAL
         name = STATUS_NAMES[status] if status < len(STATUS_NAMES) else f"status {status}"
         reason = self._reason(f"{function} returned {name}")
@@ -336,6 +343,19 @@ class Slave:
         raise (StepDiscarded if discarded else SlaveError)(self.name, self.time, reason)
 
     # -- C ------------------------------------------------------------------------------------
+
+    @property
+    def component(self) -> int:
+        """The address of the instance, for compiled code."""
+        return self._component.value or 0
+
+    def address(self, function: str) -> int:
+        """The address of a C function of the FMU, for compiled code."""
+        return ctypes.cast(self._fmu.dll[function], ctypes.c_void_p).value or 0
+
+    def note(self, function: str) -> tuple[int, int]:
+        """Where a call of this instance is noted before it is made, and what stands for it."""
+        return ctypes.addressof(ctypes.c_char.from_buffer(self._note)), self._code(function)
 
     def _function(
         self, name: str, *argument_types: type, returns: type | None = ctypes.c_int

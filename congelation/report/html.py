@@ -1,39 +1,27 @@
-"""One self-contained HTML file of a study: summary, figures and provenance; no network."""
+"""The report of a result directory: one self-contained HTML file, without any request."""
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from html import escape
-from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from congelation.report.summary import Summary, metric_definitions, summarise
-from congelation.results.record import Study
+import numpy as np
+
+from congelation.report.curves import POINTS, controls, curve_panels, draw_panels
+from congelation.report.diagram import diagram
+from congelation.report.page import Drawn, lines_of, page, pairs, swatch, table
+from congelation.report.study import study_content
+from congelation.report.summary import metric_definitions, summarise
+from congelation.report.verdict import run_verdict, study_verdict, tiles
+from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 from congelation.results.store import replace_whole
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 __all__ = ["write_html"]
 
-_RESOLUTION = 200  # dots per inch: sharp on screens at twice the nominal size
-
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 60rem; margin: 2rem auto;
-       padding: 0 1rem; }
-table { border-collapse: collapse; margin: 1rem 0; }
-th, td { padding: 0.25rem 0.75rem; border-bottom: 1px solid #ddd; text-align: right; }
-th:first-child, td:first-child { text-align: left; }
-td { font-variant-numeric: tabular-nums; }
-td.text { text-align: left; overflow-wrap: anywhere; }
-figure { margin: 1.5rem 0; }
-img { width: 26rem; max-width: 100%; height: auto; }
-pre { background: #f6f6f6; padding: 1rem; overflow-x: auto; font-size: 0.85rem; }
-.failed { border-left: 4px solid #D55E00; padding-left: 0.75rem; }
-"""
+SHOWN = 8
+"""Runs whose trajectories a page shows at once; there are colours for so many."""
 
 
 def write_html(results: Results, file: Path) -> None:
@@ -47,59 +35,160 @@ def write_html(results: Results, file: Path) -> None:
         If the file cannot be written.
     """
     study = results.study()
-    figures = [(name, _png(results.plot(name))) for name in results.figures()]
-    page = "\n".join(_page(study, figures))
-    replace_whole(file, lambda temporary: temporary.write_text(page, encoding="utf-8"))
+    text = _study_page(results, study) if study.about["swept"] else _run_page(results, study)
+    replace_whole(file, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
-def _page(study: Study, figures: Sequence[tuple[str, bytes]]) -> Iterator[str]:
-    title = escape(study.about["title"])
-    yield '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">'
-    yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
-    yield f"<title>{title}</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<h1>{title}</h1>"
-    for run in study.records:
+def _run_page(results: Results, study: Study) -> str:
+    """The page of a scenario's variants, each run once."""
+    kept = [
+        (run, results.store.trajectory(run.run_id))
+        for run in study.records
+        if results.store.trajectory_file(run.run_id).is_file()
+    ]
+    variants = [run.variant for run in study.records]
+    # Of more runs than there are colours the first are drawn, and the page says so.
+    drawn = [(variants.index(run.variant), trajectory) for run, trajectory in kept[:SHOWN]]
+    norms = [p for f in study.about["figures"] for p in f["panels"] if str(p).startswith("|")]
+    panels = curve_panels(drawn, tuple(dict.fromkeys(norms)))
+    plots, scales = draw_panels(panels, variants)
+    peaks = {run.run_id: peak for run, recorded in kept if (peak := _peak_u(recorded)) is not None}
+    pieces: list[str | Drawn] = [*_head(study, run_verdict(study, peaks)), *_tiles(study, peaks)]
+    pieces.append("<h2>Trajectories</h2>")
+    if plots:
+        times = [curve.time for panel in panels for curve in panel.curves]
+        start, stop = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+        pieces += controls(variants[:SHOWN], start, stop)
+        pieces += _thinned([recorded for _, recorded in kept])
+        if len(kept) > SHOWN:
+            pieces.append(
+                f'<p class="note">The first {SHOWN} of {len(kept)} runs are drawn; the others are '
+                "in the tables.</p>"
+            )
+        pieces += plots
+    else:
+        pieces.append('<p class="note">No trajectories were kept.</p>')
+    pieces += system(study)
+    pieces.append("<h2>Metrics</h2>")
+    summary = summarise(study)
+    pieces += table(summary.columns, summary.lines, "Settings, status and metrics of every run")
+    pieces += _definitions(study)
+    pieces += _verification(study)
+    pieces += provenance(study)
+    state = {"variants": variants, "scales": scales}
+    return page(study.about["title"], [*pieces, "</main>"], state)
+
+
+def _study_page(results: Results, study: Study) -> str:
+    content, scales, data = study_content(results, study)
+    pieces = [
+        *_head(study, study_verdict(study)),
+        *content,
+        *_definitions(study),
+        *system(study),
+        *provenance(study),
+        "</main>",
+    ]
+    variants = list(dict.fromkeys(run.variant for run in study.records))
+    state = {"variants": variants, "scales": scales, "study": data}
+    return page(study.about["title"], pieces, state, ("report.js", "study.js"))
+
+
+def _head(study: Study, verdict: Iterator[str]) -> Iterator[str]:
+    """Title, verdict and failures: what a reader sees first."""
+    yield '<a class="skip" href="#content">Skip to the content</a><main id="content">'
+    yield f"<h1>{escape(study.about['title'])}</h1>"
+    yield '<div class="verdict">'
+    for sentence in verdict:
+        yield f"<p>{escape(sentence)}</p>"
+    yield "</div>"
+    for run in study.records[: 0 if study.about["swept"] else None]:
         if run.failed:
             yield f'<p class="failed">{escape(run.variant)}: {escape(run.message)}</p>'
-    yield "<h2>Summary</h2>"
-    yield from _table(summarise(study))
-    yield "<h2>Figures</h2>"
-    for name, image in figures:
-        data = base64.b64encode(image).decode()
-        about = escape(f"{name}: the recorded variables of all runs against time")
-        yield f'<figure><img alt="{about}" src="data:image/png;base64,{data}">'
-        yield f"<figcaption>{escape(name)}</figcaption></figure>"
-    yield "<h2>Metrics</h2>"
-    yield from _pairs(metric_definitions(study))
-    yield "<h2>Provenance</h2>"
-    yield from _pairs(study.about["versions"].items())
+
+
+def _tiles(study: Study, peaks: dict[str, float]) -> Iterator[str]:
+    yield '<div class="tiles">'
+    for k, (variant, lines) in enumerate(tiles(study, peaks)):
+        yield f'<section class="tile" style="border-color: var(--v{k % 8})">'
+        yield f"<h3>{swatch(k)} {escape(variant)}</h3><dl>"
+        for name, value in lines:
+            yield f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>"
+        yield "</dl></section>"
+    yield "</div>"
+
+
+def _peak_u(trajectory: Trajectory) -> float | None:
+    r"""The peak of \|u\| of a recorded run."""
+    columns = [c for c in trajectory.columns if c.rpartition(".")[2].partition("[")[0] == "u"]
+    if not columns or not len(trajectory.time):
+        return None
+    return float(np.max(np.linalg.norm(trajectory.select(columns), axis=1)))
+
+
+def _thinned(trajectories: Sequence[Trajectory]) -> Iterator[str]:
+    longest = max(len(trajectory.time) for trajectory in trajectories)
+    if longest > POINTS:
+        yield (
+            f'<p class="note">Curves have up to {longest} stored points; {POINTS} are drawn: '
+            f"the least and the largest of each of {POINTS // 2} stretches. Start, least, "
+            "largest and end are of all points; the value at the cursor is of the drawn ones.</p>"
+        )
+
+
+def system(study: Study) -> Iterator[str]:
+    """The system as a diagram, if its connections were stored."""
+    drawing = [*diagram(study.about)]
+    if drawing:
+        yield "<h2>System</h2>"
+        yield from drawing
+
+
+def _definitions(study: Study) -> Iterator[str]:
+    definitions = metric_definitions(study)
+    if definitions:
+        yield "<details><summary>What the metrics are</summary>"
+        yield from pairs(definitions)
+        yield "</details>"
+
+
+def _verification(study: Study) -> Iterator[str]:
+    """What is known of the numerical error of each run, folded."""
+    yield "<details><summary>Verification</summary>"
+    lines = [*_verified(study.records)]
+    if not lines:
+        asked = " or ".join(f"<code>{name}</code>" for name in ("--verify", "--trust"))
+        yield f"<p>No run was compared with another solution; {asked} does that.</p>"
+    else:
+        yield from table([run.variant for run in study.records], lines, "Errors and margins")
+    yield "</details>"
+
+
+def _verified(runs: Sequence[RunRecord]) -> Iterator[tuple[str, list[str]]]:
+    def line(label: str, values: Sequence[float | None]) -> Iterator[tuple[str, list[str]]]:
+        if any(value is not None for value in values):
+            yield label, ["–" if value is None else f"{value:.2e}" for value in values]
+
+    yield from line("estimated error of the coupling", [run.estimated_error for run in runs])
+    yield from line("estimated error, by a second run", [run.trust_error for run in runs])
+    yield from line("worst margin of the certificate", [run.worst_margin for run in runs])
+    for name in dict.fromkeys(name for run in runs for name in run.deviations):
+        label = f"error of {name} against the monolithic solution / peak"
+        yield from line(label, [run.deviations.get(name) for run in runs])
+
+
+def provenance(study: Study) -> Iterator[str]:
+    """Where the numbers come from, folded."""
+    yield "<details><summary>Provenance</summary><h3>Versions</h3>"
+    yield from pairs(study.about["versions"].items())
     yield "<h3>FMUs</h3>"
-    yield from _pairs(
+    yield from pairs(
         (f"{name}: {fmu['file']}", f"sha256 {fmu['sha256']}")
         for name, fmu in study.about["fmus"].items()
     )
-    yield "<h3>Runs</h3>"
-    yield from _pairs((run.variant, run.run_id) for run in study.records)
+    if not study.about["swept"]:
+        yield "<h3>Runs</h3>"
+        yield from pairs((run.variant, run.run_id) for run in study.records)
     yield f"<h3>Scenario: {escape(study.about['scenario_file'])}</h3>"
-    yield f"<pre>{escape(study.about['scenario'])}</pre>\n</body>\n</html>"
-
-
-def _table(summary: Summary) -> Iterator[str]:
-    heads = "".join(f'<th scope="col">{escape(column)}</th>' for column in summary.columns)
-    yield f'<table>\n<tr><th scope="col"></th>{heads}</tr>'
-    for label, cells in summary.lines:
-        numbers = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-        yield f'<tr><th scope="row">{escape(label)}</th>{numbers}</tr>'
-    yield "</table>"
-
-
-def _pairs(pairs: Iterable[tuple[str, str]]) -> Iterator[str]:
-    yield "<table>"
-    for name, value in pairs:
-        yield f'<tr><th scope="row">{escape(name)}</th><td class="text">{escape(value)}</td></tr>'
-    yield "</table>"
-
-
-def _png(figure: Figure) -> bytes:
-    stream = BytesIO()
-    figure.savefig(stream, format="png", dpi=_RESOLUTION, metadata={"Software": None})
-    return stream.getvalue()
+    yield lines_of(study.about["scenario"])
+    yield "</details>"

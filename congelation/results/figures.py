@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # Matplotlib takes half a second, which only commands that dr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "SETTINGS", "draw", "draw_panels", "save"]
+__all__ = ["FORMATS", "SETTINGS", "draw", "draw_panels", "first_scale", "save", "thin"]
 
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.intp]
@@ -189,7 +189,7 @@ def _curves(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:
     for run in runs:
         for column in run.trajectory.group(panel):
             values = run.trajectory.select((column,))[:, 0]
-            rows = _thin(values)
+            rows = thin(values)
             unit = run.trajectory.units.get(column, "")
             label = math_label(column.partition(".")[2])
             band = None
@@ -205,7 +205,7 @@ def _norms(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:
         columns = run.trajectory.group(group)
         if columns:
             size = norm(run.trajectory.select(columns))
-            rows = _thin(size)
+            rows = thin(size)
             units = {run.trajectory.units.get(column, "") for column in columns}
             unit = units.pop() if len(units) == 1 else ""
             label = f"|{math_label(group.partition('.')[2])}|"
@@ -277,18 +277,37 @@ def _logarithmic(axis: Axes, curves: Sequence[_Curve]) -> None:
         axis.set_ylim(_NORM_RANGE * highest, 2.0 * highest)
 
 
+def first_scale(
+    curves: Sequence[tuple[object, Array]], *, logarithmic: bool = False
+) -> tuple[Literal["linear", "symlog"], float]:
+    """The scale that an axis has at first, and where its linear part ends if it is symlog.
+
+    It is symlog where the variants differ by orders of magnitude, or where it is asked to be
+    `logarithmic`, as for a norm. Each curve is given as its variant and its values.
+    """
+    peaks: dict[object, float] = {}
+    for variant, values in curves:
+        largest = float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
+        peaks[variant] = max(largest, peaks.get(variant, 0.0))
+    nonzero = [p for p in peaks.values() if p > 0.0]
+    if not nonzero:
+        return "linear", 1.0
+    if logarithmic:
+        return "symlog", 10.0 ** math.floor(math.log10(_NORM_RANGE * max(nonzero)))
+    threshold = 10.0 ** math.floor(math.log10(_SYMLOG_FLOOR * min(nonzero)))
+    apart = max(nonzero) > _SYMLOG_RATIO * min(nonzero)
+    return ("symlog" if apart else "linear"), threshold
+
+
 def _scale(axis: Axes, curves: Sequence[_Curve]) -> None:
     """A symmetric logarithmic axis where the variants differ by orders of magnitude."""
-    peaks: dict[str, float] = {}
-    for curve in curves:
-        largest = float(np.max(np.abs(curve.values), initial=0.0))
-        peaks[curve.variant] = max(largest, peaks.get(curve.variant, 0.0))
-    nonzero = [p for p in peaks.values() if p > 0.0]
-    if not nonzero or max(nonzero) <= _SYMLOG_RATIO * min(nonzero):
+    mode, threshold = first_scale([(curve.variant, curve.values) for curve in curves])
+    if mode == "linear":
         return
-    lowest = math.floor(math.log10(_SYMLOG_FLOOR * min(nonzero)))
-    highest = math.floor(math.log10(max(nonzero)))
-    axis.set_yscale("symlog", linthresh=10.0**lowest, linscale=1.0)
+    peak = max(float(np.max(np.abs(curve.values), initial=0.0)) for curve in curves)
+    lowest = round(math.log10(threshold))
+    highest = math.floor(math.log10(peak))
+    axis.set_yscale("symlog", linthresh=threshold, linscale=1.0)
     # The decades to label: at most three each side, the highest always.
     step = math.ceil((highest - lowest) / 3)
     decades = [10.0**k for k in range(highest, lowest, -step)]
@@ -299,13 +318,13 @@ def _style(variants: Sequence[str], variant: str) -> _Style:
     return _STYLES[variants.index(variant) % len(_STYLES)]
 
 
-def _thin(values: Array) -> Places:
-    """The rows that a print can show: the first and last, and the extremes of every bin."""
+def thin(values: Array, bins: int = _BINS) -> Places:
+    """The rows that can be seen: the first and last, and the extremes of each of some bins."""
     finite = np.flatnonzero(np.isfinite(values))
-    if len(finite) <= 2 * _BINS:
+    if len(finite) <= 2 * bins:
         return finite
     values = values[finite]
-    edges = np.linspace(0, len(finite), _BINS + 1).astype(int)
+    edges = np.linspace(0, len(finite), bins + 1).astype(int)
     keep = {0, len(finite) - 1}
     for start, stop in itertools.pairwise(edges):
         keep.add(start + int(np.argmin(values[start:stop])))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-__all__ = ["math_label", "with_unit"]
+__all__ = ["math_label", "plain_unit", "with_unit"]
 
 _GREEK = re.compile(
     "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|lambda|mu|nu|xi|rho|sigma|tau|phi|omega"
@@ -36,6 +36,11 @@ def with_unit(label: str, unit: str) -> str:
     if unit in ("", "1"):
         return label
     return f"{label} [{_POWER.sub(_superscript, unit)}]"
+
+
+def plain_unit(unit: str) -> str:
+    """A unit for text: empty for a dimensionless one."""
+    return "" if unit in ("", "1") else unit
 
 
 def _superscript(power: re.Match[str]) -> str:

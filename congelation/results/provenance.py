@@ -36,17 +36,16 @@ def about(scenario: Scenario, varied: Sequence[str]) -> dict[str, Any]:
             name: {"file": found.path.name, "sha256": found.sha256}
             for name, found in descriptions.items()
         },
+        "connections": [
+            {**asdict(connection), "unit": _unit_of(connection.source, descriptions)}
+            for connection in scenario.system.connections
+        ],
         "versions": _versions(),
     }
 
 
 def _about_metric(spec: MetricSpec, descriptions: Mapping[str, Description]) -> dict[str, Any]:
-    component, _, name = spec.of.partition(".")
-    group = {
-        v.unit
-        for v in (descriptions[component].variables.values() if component else ())
-        if v.name == name or v.name.startswith(f"{name}[")
-    }
+    group = _units(spec.of, descriptions)
     return {
         "metric": spec.metric,
         "of": spec.of or "the closed loop",
@@ -54,6 +53,21 @@ def _about_metric(spec: MetricSpec, descriptions: Mapping[str, Description]) -> 
         "definition": metric(spec.metric).definition,
         "unit": _unit(metric(spec.metric), group),
     }
+
+
+def _units(of: str, descriptions: Mapping[str, Description]) -> set[str]:
+    """Units of a variable, or of the elements of a vector; none of what is no variable."""
+    component, _, name = of.partition(".")
+    return {
+        v.unit
+        for v in (descriptions[component].variables.values() if component else ())
+        if v.name == name or v.name.startswith(f"{name}[")
+    }
+
+
+def _unit_of(of: str, descriptions: Mapping[str, Description]) -> str:
+    """The unit of what a connection carries, all of them where the elements have several."""
+    return ", ".join(sorted(unit for unit in _units(of, descriptions) if unit))
 
 
 def _unit(found: Metric, group: Collection[str]) -> str:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
-from typing import Any
+from typing import Any, final
 
 import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.result import Status
 
-__all__ = ["GROUPS", "RunRecord", "Study", "Trajectory"]
+__all__ = ["GROUPS", "Outcome", "RunRecord", "Study", "Trajectory"]
 
 Scalar = bool | int | float | str
 
@@ -24,27 +24,12 @@ GROUPS: Mapping[str, str] = {
 """Fields of a record that hold several values, and what the names of their columns begin with."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class RunRecord:
-    """What is known of one run.
-
-    A field is one column of that name (`trust_error`: ``trust.error``), a mapping has one column
-    per entry (``set.controller.epsilon``, ``metric.peak_x``). None: not known, or not applicable.
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended: the part of its record that its worker knows.
 
     Parameters
     ----------
-    run_id : str
-        Hash of what the run consists of.
-    study : str
-        Hash of the study that planned it last.
-    number : int
-        Its place in that study's plan.
-    variant : str
-    replicate : int, optional
-        Number of the repetition, from 1.
-    settings : mapping
-        The values that differ between the runs of the study, by ``component.variable`` or
-        ``experiment.key``; None for a start value left to the FMU.
     status : str
         COMPLETED, or how the run ended otherwise.
     message : str
@@ -70,20 +55,8 @@ class RunRecord:
         Where error bars were asked for, the widest band relative to the peak of its variable.
     trust_verdict, trust_line : str, optional
         As in `congelation.cosim.result.Trust`.
-    fmus : mapping
-        SHA-256 of the FMU of each component.
-    seed : int, optional
-        That the sweep was drawn with.
-    code_version : str
-    numerics_version : int
     """
 
-    run_id: str
-    study: str = ""
-    number: int = 0
-    variant: str
-    replicate: int | None = None
-    settings: Mapping[str, Scalar | None] = field(default_factory=dict)
     status: str
     message: str = ""
     cause: str | None = None
@@ -99,15 +72,53 @@ class RunRecord:
     trust_error: float | None = None
     trust_verdict: str | None = None
     trust_line: str | None = None
-    fmus: Mapping[str, str] = field(default_factory=dict)
-    seed: int | None = None
-    code_version: str = ""
-    numerics_version: int = 0
 
     @property
     def failed(self) -> bool:
         """Whether the run ended otherwise than at its stop time or by an FMU's own end."""
         return self.status not in (Status.COMPLETED.name, Status.TERMINATED.name)
+
+
+@final
+@dataclass(frozen=True, kw_only=True)
+class RunRecord(Outcome):
+    """What is known of one run.
+
+    A field is one column of that name (`trust_error`: ``trust.error``), a mapping has one column
+    per entry (``set.controller.epsilon``, ``metric.peak_x``). None: not known, or not applicable.
+
+    Parameters
+    ----------
+    run_id : str
+        Hash of what the run consists of.
+    study : str
+        Hash of the study that planned it last.
+    number : int
+        Its place in that study's plan.
+    variant : str
+    replicate : int, optional
+        Number of the repetition, from 1.
+    settings : mapping
+        The values that differ between the runs of the study, by ``component.variable`` or
+        ``experiment.key``; None for a start value left to the FMU.
+    fmus : mapping
+        SHA-256 of the FMU of each component.
+    seed : int, optional
+        That the sweep was drawn with.
+    code_version : str
+    numerics_version : int
+    """
+
+    run_id: str
+    study: str = ""
+    number: int = 0
+    variant: str
+    replicate: int | None = None
+    settings: Mapping[str, Scalar | None] = field(default_factory=dict)
+    fmus: Mapping[str, str] = field(default_factory=dict)
+    seed: int | None = None
+    code_version: str = ""
+    numerics_version: int = 0
 
     def row(self) -> dict[str, Any]:
         """The record by column."""
@@ -134,8 +145,10 @@ class RunRecord:
         return cls(**values)
 
 
+_FIRST = ("run_id", "study", "number", "variant", "replicate", "settings")
 _COLUMNS = {
-    f.name: GROUPS.get(f.name, f.name.replace("trust_", "trust.")) for f in fields(RunRecord)
+    name: GROUPS.get(name, name.replace("trust_", "trust."))
+    for name in dict.fromkeys((*_FIRST, *(f.name for f in fields(RunRecord))))
 }
 
 

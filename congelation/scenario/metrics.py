@@ -253,6 +253,14 @@ _BUILT_IN = (
         loop=True,
     ),
     Metric(
+        "lyapunov_share",
+        None,
+        "(V(T) + int claimed rate dt) / (V(0) + int residue dt), at most 1 where the certificate"
+        " holds: of tracking, leakage and disturbances the bound of the mean error against the run",
+        _ratio,
+        loop=True,
+    ),
+    Metric(
         "deviation",
         None,
         "max over time and recorded variables of |co-simulated - monolithic| / peak, the latter by"

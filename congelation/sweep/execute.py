@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from congelation.cosim.master import perform
@@ -15,7 +15,7 @@ from congelation.errors import CongelationError, InvalidInput
 from congelation.fmi.calls import CALLS
 from congelation.fmi.description import describe
 from congelation.results.identity import NUMERICS_VERSION
-from congelation.results.record import Trajectory
+from congelation.results.record import Outcome, Trajectory
 from congelation.results.store import Store, trajectory_bytes
 from congelation.scenario.parts import Settings
 from congelation.scenario.scenario import Case, Scenario
@@ -27,7 +27,6 @@ __all__ = [
     "TIMED_OUT",
     "WORKER_DIED",
     "Job",
-    "Outcome",
     "Task",
     "execute",
 ]
@@ -99,27 +98,6 @@ class Job:
     fmus: Mapping[str, str]
     numerics: int
     trust: bool | str = False
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended: the part of its record that is not known before."""
-
-    status: str
-    message: str
-    cause: str | None = None
-    metrics: Mapping[str, float | None] = field(default_factory=dict)
-    deviations: Mapping[str, float] = field(default_factory=dict)
-    steps: int | None = None
-    rejected_steps: int | None = None
-    iterations: int | None = None
-    estimated_error: float | None = None
-    wall_time: float | None = None
-    warnings: int | None = None
-    worst_margin: float | None = None
-    trust_error: float | None = None
-    trust_verdict: str | None = None
-    trust_line: str | None = None
 
 
 def execute(

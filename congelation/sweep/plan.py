@@ -30,13 +30,13 @@ from congelation.results.identity import (
     text_of,
 )
 from congelation.results.provenance import about
-from congelation.results.record import RunRecord
+from congelation.results.record import Outcome, RunRecord
 from congelation.results.store import Store
 from congelation.scenario.axes import Sweep
 from congelation.scenario.metrics import metric
 from congelation.scenario.parts import EXPERIMENT, Case, Scalar, Settings
 from congelation.scenario.scenario import Scenario
-from congelation.sweep.execute import ERROR, REFUSED, TIMED_OUT, WORKER_DIED, Job, Outcome, Task
+from congelation.sweep.execute import ERROR, REFUSED, TIMED_OUT, WORKER_DIED, Job, Task
 
 __all__ = ["FAILURES", "Plan", "plan_study", "varied_settings"]
 
@@ -157,17 +157,7 @@ def plan_study(
     if swept and scenario.sweep is None:
         raise InvalidInput(f"{scenario.place}: no [sweep]; give its axes, or use: congelation run")
     store = Store(folder)
-    done = store.count()
-    if swept and done and not resume:
-        raise InvalidInput(
-            f"{folder} holds {done} finished runs; give --resume to go on, or another --out"
-        )
-    if done and not swept and (title := store.about().get("title")) != scenario.title:
-        raise InvalidInput(
-            f"{folder} holds runs of another scenario, '{title}'; give another --out"
-        )
-    if done and not swept and store.about()["swept"]:
-        raise InvalidInput(f"{folder} holds a sweep; give another --out")
+    _refuse_other_runs(store, scenario, swept, resume)
     scenario = _complete(scenario)
     identity = _Identity(scenario)
     if write:
@@ -206,6 +196,27 @@ def plan_study(
     return Plan(
         scenario, store, job, found.total, found.missing, found.others, found.versions, base
     )
+
+
+def _refuse_other_runs(store: Store, scenario: Scenario, swept: bool, resume: bool) -> None:
+    """Raise InvalidInput where the directory has runs that the study may not be put beside."""
+    done = store.count()
+    if not done:
+        return
+    if swept:
+        if not resume:
+            raise InvalidInput(
+                f"{store.root} holds {done} finished runs; give --resume to go on, or another --out"
+            )
+        return
+    newest = store.about()
+    if newest.get("title") != scenario.title:
+        raise InvalidInput(
+            f"{store.root} holds runs of another scenario, '{newest.get('title')}'; "
+            "give another --out"
+        )
+    if newest["swept"]:
+        raise InvalidInput(f"{store.root} holds a sweep; give another --out")
 
 
 def varied_settings(scenario: Scenario, swept: bool) -> tuple[str, ...]:

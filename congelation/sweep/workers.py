@@ -33,13 +33,13 @@ from pebble import ProcessExpired, ProcessFuture, ProcessPool
 from congelation.cosim.pool import SlavePool
 from congelation.errors import CongelationError
 from congelation.fmi.calls import CALLS, NOTE_SIZE, noted_call
+from congelation.results.record import Outcome
 from congelation.results.store import StoreError
 from congelation.sweep.execute import (
     ERROR,
     TIMED_OUT,
     WORKER_DIED,
     Job,
-    Outcome,
     Task,
     execute,
 )

@@ -125,6 +125,10 @@ def remarks_on(
     ]
     if varying_gain:
         found += [*_gain(values, theta, p, place)]
+    eta = float(np.asarray(values.get("eta0", 1.0), float).ravel()[0])
+    if "gamma_D" in values and "decay" in values and not eta > 0:  # the bound estimator
+        what = f"{eta:.6g} is no width of the bound estimator's tanh"
+        found.append(Remark(place("eta0"), what, "give a positive one, such as 0.1", broken=True))
     if degree is not None:
         a_1 = float(theta.radii[first])
         of = f"a_(n-1)(t) = theta[{first + 1}]"

@@ -144,7 +144,7 @@ class ClosedLoop:
     external : tuple of Variables
         Open inputs of the controller, a value and its derivatives each; last in X.
     source : Model or None
-        What drives them instead; its states are last in X.
+        What drives them instead; its states are last in X, its signals and time last in theta.
     rate, output : casadi.SX
         Columns: f, and the outputs of the plant, then those of the controller.
     """
@@ -195,6 +195,9 @@ class ClosedLoop:
         states = [s.variables.symbol for _, model in self._sides for s in model.states]
         states += [v.symbol for v in self.external]
         theta = ca.SX(0, 1) if self.plant.theta is None else self.plant.theta.symbol
+        if self.source is not None and self.source.signals is not None:
+            signals = self.source.signals
+            theta = ca.vertcat(theta, signals.variables.symbol, signals.time)
         return _stack(states), theta
 
     def bind(self, expressions: Sequence[ca.SX]) -> list[ca.SX]:
@@ -330,9 +333,15 @@ def _connection(
         name = entry.variables.name
         if name in apart:
             continue
+        rows = entry.variables.shape[0]
+        # Of a value and its derivatives, a source may have more than are asked for.
+        more = name in outputs and outputs[name].first == 0 and outputs[name].shape[0] > rows
+        if more:
+            pairs.append((entry.variables.symbol, outputs[name].symbol[:rows]))
+            continue
         if name not in outputs or outputs[name].shape != entry.variables.shape:
             raise InvalidInput(
-                f"{target.name} wants '{name}' of {entry.variables.shape[0]} elements, which "
+                f"{target.name} wants '{name}' of {rows} elements, which "
                 f"{source.name} does not put out; close a plant with the controller of its form"
             )
         pairs.append((entry.variables.symbol, outputs[name].symbol))

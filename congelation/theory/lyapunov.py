@@ -24,6 +24,9 @@ __all__ = [
     "state_feedback_certificate",
 ]
 
+LARGEST_GAP = 0.27847
+"""The largest a (1 - tanh a), rounded up."""
+
 Matrix = NDArray[np.float64]
 Sampler = Callable[[np.random.Generator], Matrix]
 
@@ -93,13 +96,22 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
 
     perturbations, sample = _ball(loop), _within(law)
     if not known:
-        D, D_law = values["epsilon"].item() ** 2 * delta**2 / 2, claim_of(values, "D_hat", 1)
+        D_law = claim_of(values, "D_hat", 1)
+        if "epsilon" in values:
+            D = values["epsilon"].item() ** 2 * delta**2 / 2
+            sample = _with_radius(sample, D_law, values["epsilon"].item())
+        else:  # the bound estimator: a (1 - tanh a) is at most LARGEST_GAP
+            D, eta = delta, _state(loop, "eta")
+            sample = _with_bound(sample, D_law)
+            residue += LARGEST_GAP * n * eta * delta
+            drawn["root_of_eta"] = 1
+            free["root_of_eta"] = ca.SX.sym("root_of_eta")
+            solved["eta"] = free["root_of_eta"] ** 2
         D_hat = _state(loop, "D_hat")
         V += (D - D_hat) ** 2 / (2 * values["gamma_D"].item())
         claimed += D_law.decay(D, D_hat)
         residue += D_law.residue(D)
         solved["D_hat"] = D + free["D_error"]
-        sample = _with_radius(sample, D_law, values["epsilon"].item())
     if "rho_hat" in names:
         sign, ell_b, rho_hat = values["sign_b"].item(), ell[p], _state(loop, "rho_hat")
         rho_law = claim_of(values, "rho_hat", 1)
@@ -112,7 +124,8 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
         sample = _with_gain(sample, p, rho_law, sign)
     for v in loop.external:
         yr = v.symbol
-        residue += values["epsilon_r"].item() ** 2 * delta**2 * ca.sumsqr(yr[:n]) / 2
+        if "epsilon_r" in values:
+            residue += values["epsilon_r"].item() ** 2 * delta**2 * ca.sumsqr(yr[:n]) / 2
         if "epsilon_b" in values:
             residue += values["epsilon_b"].item() ** 2 * ca.sumsqr(yr) / 2
         solved[v.name] = free[v.name]
@@ -151,13 +164,22 @@ def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
     xi, Omega_T = _filter_signals(loop, m)
     V_x_tilde, g = _estimation_error_function(values, n - m)
 
-    delta, delta_1 = values["delta"].item(), values["delta_1"].item()
-    corrected = bool(values["corrected"].item()) and delta > 0
-    weight = float(np.sum(1 / (4 * values["d"])))
-    weight *= 1 + delta_1 / (g * delta) if corrected else 1
+    known, sum_d = "delta" in values, float(np.sum(1 / (4 * values["d"])))
+    constants, delta, delta_1 = ell, 0.0, math.inf
     offset: tuple[float, ...] = ()
-    if n == 1 and _free_ell(loop):
-        weight, offset = 0.0, (0.0, min(delta, delta_1))
+    if known:
+        delta, delta_1 = values["delta"].item(), values["delta_1"].item()
+        corrected = bool(values["corrected"].item()) and delta > 0
+        weight = sum_d * (1 + delta_1 / (g * delta) if corrected else 1)
+        needed = ca.SX(sum_d * (g * delta + delta_1) ** 2)
+        if n == 1 and _free_ell(loop) and not loop.external:
+            weight, offset = 0.0, (0.0, min(delta, delta_1))
+    else:  # any delta, and delta_1 up to that
+        constants = ca.vertcat(ell, ca.SX.sym("delta"))
+        weight, needed = sum_d * (1 + 1 / g), sum_d * ((g + 1) * constants[-1]) ** 2
+    q = values["q"].item() if "q" in values else 1.0
+    if loop.external:
+        needed *= 1 + q  # y^2 <= (1 + q) z_1^2 + (1 + 1/q) y_r^2
     sign = values["sign_b_m"].item()
     V = (
         ca.sumsqr(z) / 2
@@ -169,32 +191,57 @@ def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
     law, rho_law = claim_of(values, "theta_hat", m + 1 + n), claim_of(values, "rho_hat", 1)
     claimed = ca.sum1(ca.DM(values["c"]) * z**2) + law.decay(ell, theta_hat)
     claimed += sign * ell[0] * rho_law.decay(1 / ell[0], rho_hat)
+    residue = law.residue(ell) + sign * ell[0] * rho_law.residue(1 / ell[0])
+    sample, extra = _with_inverse(law, rho_law, sign), {}
+    others = [v.symbol for v in loop.external]
+    if not known:
+        D_hat, D_law = _state(loop, "D_hat"), claim_of(values, "D_hat", 1)
+        V += (needed - D_hat) ** 2 / (2 * values["gamma_D"].item())
+        claimed += D_law.decay(needed, D_hat)
+        residue += D_law.residue(needed)
+        others.append(D_hat)
+        scale = math.sqrt(2 * sum_d * (1 + q if loop.external else 1)) * (g + 1)
+        sample = _with_radius(sample, D_law, scale)
+    for v in loop.external:
+        residue += needed / q * v.symbol[0] ** 2
+        extra[v.name] = v.symbol.numel()
 
     # Drawn are z, x_tilde, the errors of the estimates, eta and lambda_1 .. lambda_m. Row 1 of
     # x = xi + Omega^T ell + x_tilde holds lambda_{m+1} with coefficient b_m, and z_i, i >= 2, holds
     # lambda_{m+i} with coefficient 1, (46): they give the rest of lambda one by one, then x.
     drawn = {"z": n - m, "x_tilde": n, "error": m + 1 + n, "rho_error": 1, "eta": n, "lambda": m}
+    drawn |= extra if known else {**extra, "D_error": 1}
     free = {name: ca.SX.sym(name, size) for name, size in drawn.items()}
     estimates = [ell + free["error"], 1 / ell[0] + free["rho_error"]]
     full = ca.vertcat(free["lambda"], ca.SX.zeros(n - m))
     state = xi + Omega_T @ ell + free["x_tilde"]
+    solved = {v.name: free[v.name] for v in loop.external}
+    if not known:
+        solved["D_hat"] = needed + free["D_error"]
+    y = free["z"][0] + (free["yr"][0] if loop.external else 0)  # (45)
     for i in range(n - m):
-        known = [ca.vertcat(free["z"][0], ca.SX.zeros(n - 1)), *estimates, free["eta"], full]
-        unsolved = state[0] - free["z"][0] if i == 0 else z[i]
-        (rest,) = ca.substitute([unsolved], [x, theta_hat, rho_hat, eta, lambda_], known)
+        given = [ca.vertcat(y, ca.SX.zeros(n - 1)), *estimates, free["eta"], full]
+        unsolved = state[0] - y if i == 0 else z[i]
+        (rest,) = ca.substitute(
+            [unsolved],
+            [x, theta_hat, rho_hat, eta, lambda_, *others],
+            [*given, *solved.values()],
+        )
         full[m + i] = -rest / ell[0] if i == 0 else free["z"][i] - rest
     (state,) = ca.substitute([state], [eta, lambda_], [free["eta"], full])
-    state[0] = free["z"][0]  # y = z_1, to the bit
+    state[0] = y  # to the bit
     drawn_states = [state, *estimates, free["eta"], full]
-    X = _stacked(loop, dict(zip(names, drawn_states, strict=True)))
+    X = _stacked(loop, dict(zip(names, drawn_states, strict=True)) | solved)
     return Certificate(
         loop,
-        ell,
+        constants,
         V,
         claimed,
-        law.residue(ell) + sign * ell[0] * rho_law.residue(1 / ell[0]),
-        PerturbationSet(delta, varies, first=m + 1, delta_1=delta_1, offset=offset),
-        _with_inverse(law, rho_law, sign),
+        residue,
+        PerturbationSet(
+            delta, varies, first=m + 1, delta_1=delta_1, offset=offset, free_delta=not known
+        ),
+        sample,
         Coordinates(ca.vertcat(*free.values()), X, tuple(drawn.values())),
     )
 
@@ -341,6 +388,16 @@ def _with_radius(sample: Sampler, law: Claim, epsilon: float) -> Sampler:
         return np.append(ell, math.sqrt(2 * max(D.item(), 0.0)) / epsilon)
 
     return with_radius
+
+
+def _with_bound(sample: Sampler, law: Claim) -> Sampler:
+    """Random ell and delta, the latter in its law's set."""
+
+    def with_bound(generator: np.random.Generator) -> Matrix:
+        ell = sample(generator)
+        return np.append(ell, law.nearest(np.array([10 ** generator.uniform(-1, 1)])))
+
+    return with_bound
 
 
 def _with_gain(sample: Sampler, place: int, law: Claim, sign: float) -> Sampler:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import casadi as ca
 import numpy as np
 
+from congelation.errors import InvalidInput
 from congelation.theory.adaptation import Adaptation, AdaptationFactory, gradient
 from congelation.theory.kfilter import FilterDesign, FilterFactory, KFilter, iss_filter, second_row
 from congelation.theory.model import (
@@ -22,6 +23,7 @@ from congelation.theory.model import (
     vector,
 )
 from congelation.theory.observer_form import checked_orders
+from congelation.theory.options import Options, reference_input
 
 __all__ = [
     "OutputFeedbackDesign",
@@ -35,7 +37,10 @@ __all__ = [
 
 @dataclass(frozen=True)
 class OutputFeedbackSymbols:
-    """The symbols that the law is a function of, beside those of the K-filter."""
+    """The symbols that the law is a function of, beside those of the K-filter.
+
+    None where the options of the law have no use for one.
+    """
 
     y: Variables
     theta_hat: Variables
@@ -44,11 +49,25 @@ class OutputFeedbackSymbols:
     d: Variables
     Gamma: Variables
     gamma: Variables
-    delta: Variables
-    delta_1: Variables
     damping: Variables
-    corrected: Variables
     sign_b_m: Variables
+    delta: Variables | None = None
+    delta_1: Variables | None = None
+    corrected: Variables | None = None
+    yr: Variables | None = None
+    q: Variables | None = None
+    D_hat: Variables | None = None
+    gamma_D: Variables | None = None
+
+    @property
+    def z_1(self) -> ca.SX:
+        """z_1 of (45): y, or y - y_r."""
+        y = ca.SX(self.y.symbol)
+        return y if self.yr is None else y - self.yr.symbol[0]
+
+    def reference(self, order: int) -> ca.SX:
+        """y_r^(order), 0 without a reference."""
+        return ca.SX(0) if self.yr is None else self.yr.symbol[order]
 
 
 @dataclass(frozen=True)
@@ -60,6 +79,8 @@ class Partial:
     lambda_: ca.SX
     theta_hat: ca.SX
     rho_hat: ca.SX
+    D_hat: ca.SX
+    yr: ca.SX
 
 
 @dataclass(frozen=True)
@@ -95,6 +116,8 @@ class OutputFeedbackDesign:
     filter_design: FilterDesign
     adaptation: Adaptation
     rho_adaptation: Adaptation
+    D_adaptation: Adaptation | None = None
+    options: Options = field(default_factory=Options)
     steps: tuple[OutputFeedbackStep, ...] = ()
 
     @property
@@ -119,9 +142,9 @@ class OutputFeedbackDesign:
 
     @property
     def u(self) -> ca.SX:
-        """u = alpha_rho - v_{m,rho+1}, (53), with v_{m,n+1} = 0."""
-        v_m = ca.vertcat(self.filter.v[-1], 0)
-        return self.steps[-1].alpha - v_m[self.filter.rho]
+        """u = alpha_rho - v_{m,rho+1} + rho_hat y_r^(rho), (53), with v_{m,n+1} = 0."""
+        v_m, rho = ca.vertcat(self.filter.v[-1], 0), self.filter.rho
+        return self.steps[-1].alpha - v_m[rho] + _feedforward(self, rho)
 
     @property
     def theta_hat_rate(self) -> ca.SX:
@@ -133,12 +156,23 @@ class OutputFeedbackDesign:
         """rho_hat' of (54)."""
         return _rho_hat_rate(self)
 
+    @property
+    def D_hat_rate(self) -> ca.SX:
+        """D_hat' = gamma_D z_1^2, in Controller 1; 0 where the radius is known."""
+        symbols, law = self.symbols, self.D_adaptation
+        if symbols.gamma_D is None or law is None:
+            return ca.SX(0)
+        z_1 = symbols.z_1
+        regressor = law.regressor(symbols.damping.symbol * z_1, z_1)
+        return symbols.gamma_D.symbol * law.rate(regressor * z_1)
+
 
 def output_feedback_design(
     n: int = 2,
     m: int = 0,
     adaptation: AdaptationFactory = gradient,
     filter_factory: FilterFactory = iss_filter,
+    options: Options | None = None,
 ) -> OutputFeedbackDesign:
     """Run the recursion (45)-(55).
 
@@ -150,7 +184,21 @@ def output_feedback_design(
         The law of the estimates, see `congelation.theory.adaptation`.
     filter_factory : callable
         The K-filter's gains: `iss_filter` or `standard_filter` of `congelation.theory.kfilter`.
+    options : Options, optional
+        What the law copes with; None: the paper's.
+
+    Raises
+    ------
+    InvalidInput
+        Orders that do not fit, or a varying gain.
     """
+    chosen = options or Options()
+    if chosen.varying_gain:
+        raise InvalidInput(
+            "gain = 'varying' has no certificate in output feedback: the bound (42) of the "
+            "estimation error then holds u^2, which the Lyapunov function does not bound "
+            "(docs/theory.md, 'Varying input gain'); leave it out, or use form = 'strict-feedback'"
+        )
     rho, q = checked_orders(n, m), m + 1 + n
     symbols = OutputFeedbackSymbols(
         y=scalar("y", "Output y of the plant (27)"),
@@ -160,12 +208,27 @@ def output_feedback_design(
         d=vector("d", rho, "Damping d_i against the estimation error, (49)-(51)"),
         Gamma=matrix("Gamma", q, q, "Adaptation gain of (55)"),
         gamma=scalar("gamma", "Adaptation gain of (54)"),
-        delta=scalar("delta", "Radius of a(t), Assumption 2"),
-        delta_1=scalar("delta_1", "Radius of a_(n-1)(t) alone, at most delta"),
         damping=scalar("damping", "True: Controller 1, with damping; false: Controller 2"),
-        corrected=scalar("corrected", "True: corrected damping; false: as printed in (59)"),
         sign_b_m=scalar("sign_b_m", "Sign of the high-frequency gain b_m, Assumption 3"),
     )
+    if chosen.tracking:
+        symbols = replace(symbols, yr=reference_input(rho).variables)
+    if chosen.unknown_radius:
+        symbols = replace(
+            symbols,
+            D_hat=scalar("D_hat", "Estimate of the damping that the unknown radius needs"),
+            gamma_D=scalar("gamma_D", "Adaptation gain of D_hat"),
+        )
+    else:
+        symbols = replace(
+            symbols,
+            delta=scalar("delta", "Radius of a(t), Assumption 2"),
+            delta_1=scalar("delta_1", "Radius of a_(n-1)(t) alone, at most delta"),
+            corrected=scalar("corrected", "True: corrected damping; false: as printed in (59)"),
+        )
+        if chosen.tracking:
+            weight = scalar("q", "Weight of the reference in Young's inequality")
+            symbols = replace(symbols, q=weight)
     filter_design = filter_factory(n)
     k_filter = KFilter(
         m,
@@ -175,7 +238,12 @@ def output_feedback_design(
     )
     law = adaptation(symbols.theta_hat, symbols.Gamma.symbol, rho)
     rho_law = law.companion(symbols.rho_hat, symbols.gamma.symbol)
-    design = OutputFeedbackDesign(symbols, k_filter, filter_design, law, rho_law)
+    D_law = None
+    if symbols.D_hat is not None and symbols.gamma_D is not None:
+        D_law = law.companion(symbols.D_hat, symbols.gamma_D.symbol)
+    design = OutputFeedbackDesign(
+        symbols, k_filter, filter_design, law, rho_law, D_law, options=chosen
+    )
     design = replace(design, steps=(_first_step(design),))
     for _ in range(rho - 1):
         design = replace(design, steps=(*design.steps, _later_step(design)))
@@ -183,17 +251,24 @@ def output_feedback_design(
 
 
 def _damping(design: OutputFeedbackDesign) -> ca.SX:
-    """zetabar_{1,1}: the corrected damping, or (59) as printed.
+    """zetabar_{1,1}: the corrected damping, or (59) as printed; -D_hat where no radius is known.
 
-    Completing squares leaves sum_i (x_tilde_2 - Delta_1 y)^2 / (4 d_i); (59) drops Delta_1, the
-    variation of a_{n-1}, which y' holds directly, and halves what its own proof gives.
+    With a reference y^2 <= (1 + q) z_1^2 + (1 + 1/q) y_r^2. Completing squares leaves
+    sum_i (x_tilde_2 - Delta_1 y)^2 / (4 d_i); (59) drops Delta_1, the variation of a_{n-1}, which
+    y' holds directly, and halves what its own proof gives.
     """
     symbols = design.symbols
+    if symbols.D_hat is not None:
+        return -symbols.damping.symbol * symbols.D_hat.symbol
+    if symbols.delta is None or symbols.delta_1 is None or symbols.corrected is None:
+        return ca.SX(0)
     estimation = design.filter_design.disturbance_gain * symbols.delta.symbol  # r epsilon delta
     corrected = (estimation + symbols.delta_1.symbol) ** 2
     printed = estimation**2 / 2  # (59)
     choice = ca.SX(symbols.corrected.symbol)
     weight = ca.sum1(1 / (4 * symbols.d.symbol))
+    if symbols.q is not None:
+        weight *= 1 + symbols.q.symbol
     return -symbols.damping.symbol * (choice * corrected + (1 - choice) * printed) * weight
 
 
@@ -207,33 +282,40 @@ def _omegabar(k_filter: KFilter, y: ca.SX) -> ca.SX:
 def _alphabar_1(design: OutputFeedbackDesign) -> ca.SX:
     """alphabar_1 of (49)."""
     symbols, k_filter = design.symbols, design.filter
-    z_1 = symbols.y.symbol
+    z_1 = symbols.z_1
     return (
         -(symbols.c.symbol[0] + symbols.d.symbol[0]) * z_1
         + _damping(design) * z_1
         - second_row(k_filter.xi)
-        - _omegabar(k_filter, z_1).T @ symbols.theta_hat.symbol
+        - _omegabar(k_filter, symbols.y.symbol).T @ symbols.theta_hat.symbol
     )
 
 
+def _feedforward(design: OutputFeedbackDesign, order: int) -> ca.SX:
+    """rho_hat y_r^(order), what v_{m,order+1} is to follow; 0 without a reference."""
+    symbols = design.symbols
+    return ca.SX(0) if symbols.yr is None else symbols.rho_hat.symbol * symbols.reference(order)
+
+
 def _rho_hat_rate(design: OutputFeedbackDesign) -> ca.SX:
-    """rho_hat' = -gamma sgn(b_m) alphabar_1 z_1, (54)."""
-    symbols, law, z_1 = design.symbols, design.rho_adaptation, design.symbols.y.symbol
-    regressor = law.regressor(-symbols.sign_b_m.symbol * _alphabar_1(design), z_1)
+    """rho_hat' = -gamma sgn(b_m) (alphabar_1 + y_r') z_1, (54)."""
+    symbols, law, z_1 = design.symbols, design.rho_adaptation, design.symbols.z_1
+    wanted = _alphabar_1(design) + symbols.reference(1)
+    regressor = law.regressor(-symbols.sign_b_m.symbol * wanted, z_1)
     return symbols.gamma.symbol * law.rate(regressor * z_1)
 
 
 def _first_step(design: OutputFeedbackDesign) -> OutputFeedbackStep:
     """Step 1: (45), (47), (49)."""
     symbols, k_filter, law = design.symbols, design.filter, design.adaptation
-    z = symbols.y.symbol  # (45)
+    y, z = symbols.y.symbol, symbols.z_1  # (45)
     alpha = symbols.rho_hat.symbol * _alphabar_1(design)  # (49)
     if k_filter.rho == 1:
         # Here b_m (u + v_{m,2}) = b_m alpha_1 exactly: no z_2, so b_m is not estimated.
-        w = _omegabar(k_filter, z)
+        w = _omegabar(k_filter, y)
     else:
-        w = k_filter.omega(z)
-        w[0] -= alpha  # omega - rho_hat alphabar_1 e_1
+        w = k_filter.omega(y)
+        w[0] -= alpha + _feedforward(design, 1)  # omega - rho_hat (alphabar_1 + y_r') e_1
     regressor = law.regressor(w, z)
     tau = regressor * z  # (47)
     slope = law.slope(ca.SX.zeros(*tau.shape), tau, regressor)
@@ -244,7 +326,7 @@ def _later_step(design: OutputFeedbackDesign) -> OutputFeedbackStep:
     """Step i, 2 <= i <= rho: (46), (48), (50)-(52), (56)."""
     symbols, k_filter, law, steps = design.symbols, design.filter, design.adaptation, design.steps
     i, last, Gamma = len(design.steps) + 1, design.steps[-1], symbols.Gamma.symbol
-    z = k_filter.v[-1][i - 1] - last.alpha  # (46)
+    z = k_filter.v[-1][i - 1] - last.alpha - _feedforward(design, i - 1)  # (46)
     dalpha = _partial(last.alpha, design)
     w = -dalpha.y * k_filter.omega(symbols.y.symbol)
     regressor = law.regressor(w, z)
@@ -269,12 +351,18 @@ def _beta(design: OutputFeedbackDesign, dalpha: Partial) -> ca.SX:
     y, omega = symbols.y.symbol, k_filter.omega(symbols.y.symbol)
     # alpha_{i-1} depends on lambda_1 .. lambda_{m+i-1} only, which the input does not reach.
     free_lambda_rate = k_filter.lambda_rate(ca.SX(0))
+    known = ca.SX(0)
+    if symbols.yr is not None:
+        known = dalpha.yr[:-1] @ symbols.yr.symbol[1:]
+    if symbols.D_hat is not None:
+        known += dalpha.D_hat @ design.D_hat_rate
     return (
         dalpha.y * (second_row(k_filter.xi) + omega.T @ symbols.theta_hat.symbol)
         + dalpha.eta @ k_filter.eta_rate(y)
         + k_filter.k.symbol[i - 1] * k_filter.v[-1][0]
         + dalpha.lambda_ @ free_lambda_rate
-        + dalpha.rho_hat * _rho_hat_rate(design)
+        + (dalpha.rho_hat + symbols.reference(i - 1)) * _rho_hat_rate(design)
+        + known
     )
 
 
@@ -282,9 +370,10 @@ def _partial(alpha: ca.SX, design: OutputFeedbackDesign) -> Partial:
     """The partial derivatives of a virtual control, from one reverse sweep."""
     symbols, k_filter = design.symbols, design.filter
     variables = (symbols.y, k_filter.eta, k_filter.lambda_, symbols.theta_hat, symbols.rho_hat)
-    ends = np.cumsum([0, *(v.symbol.numel() for v in variables)]).tolist()
-    row = ca.jacobian(alpha, ca.vertcat(*(v.symbol for v in variables)))
-    return Partial(*ca.horzsplit(row, ends))
+    columns = [v.symbol for v in variables]
+    columns += [ca.SX(0, 1) if v is None else v.symbol for v in (symbols.D_hat, symbols.yr)]
+    ends = np.cumsum([0, *(v.numel() for v in columns)]).tolist()
+    return Partial(*ca.horzsplit(ca.jacobian(alpha, ca.vertcat(*columns)), ends))
 
 
 def output_feedback_controller(
@@ -292,15 +381,16 @@ def output_feedback_controller(
     m: int = 0,
     adaptation: AdaptationFactory = gradient,
     filter_factory: FilterFactory = iss_filter,
+    options: Options | None = None,
 ) -> Model:
     """The controller (53)-(55) with its K-filter (28)-(29) as a block.
 
     Parameters
     ----------
-    n, m, adaptation, filter_factory
+    n, m, adaptation, filter_factory, options
         See `output_feedback_design`.
     """
-    return output_feedback_model(output_feedback_design(n, m, adaptation, filter_factory))
+    return output_feedback_model(output_feedback_design(n, m, adaptation, filter_factory, options))
 
 
 def output_feedback_model(design: OutputFeedbackDesign) -> Model:
@@ -308,37 +398,48 @@ def output_feedback_model(design: OutputFeedbackDesign) -> Model:
     symbols, k_filter = design.symbols, design.filter
     n, m, rho, q = k_filter.n, k_filter.m, k_filter.rho, symbols.theta_hat.symbol.numel()
     zeros = (0.0,) * n
+    also = f" ({design.options})" if str(design.options) else ""
+    states = [
+        State(symbols.theta_hat, design.theta_hat_rate, start=(0.0,) * q),
+        State(symbols.rho_hat, design.rho_hat_rate, start=(0.0,)),
+        State(k_filter.eta, k_filter.eta_rate(symbols.y.symbol), start=zeros),
+        State(k_filter.lambda_, k_filter.lambda_rate(design.u), start=zeros),
+    ]
+    estimates = [symbols.theta_hat, symbols.rho_hat]
+    if symbols.D_hat is not None:
+        states.insert(2, State(symbols.D_hat, design.D_hat_rate, start=(0.0,)))
+        estimates.append(symbols.D_hat)
+    known = (  # of the radius and the reference
+        (symbols.delta, 1.0, Domain.NONNEGATIVE),
+        (symbols.delta_1, 1.0, Domain.NONNEGATIVE),
+        (symbols.gamma_D, 1.0, Domain.POSITIVE),
+        (symbols.q, 1.0, Domain.POSITIVE),
+        (symbols.damping, 1.0, Domain.BOOLEAN),
+        (symbols.corrected, 1.0, Domain.BOOLEAN),
+        (symbols.sign_b_m, 1.0, Domain.SIGN),
+    )
+    laws = (design.adaptation, design.rho_adaptation, design.D_adaptation)
     return Model(
         name="OutputFeedbackController",
-        description=f"Output feedback controller (53)-(55) for the plant (27), n = {n}, m = {m}",
-        inputs=(Input.of(symbols.y),),
-        states=(
-            State(symbols.theta_hat, design.theta_hat_rate, start=(0.0,) * q),
-            State(symbols.rho_hat, design.rho_hat_rate, start=(0.0,)),
-            State(k_filter.eta, k_filter.eta_rate(symbols.y.symbol), start=zeros),
-            State(k_filter.lambda_, k_filter.lambda_rate(design.u), start=zeros),
-        ),
+        description=f"Output feedback controller (53)-(55) for the plant (27), n = {n}, m = {m}"
+        + also,
+        inputs=tuple(Input.of(v) for v in (symbols.y, symbols.yr) if v is not None),
+        states=tuple(states),
         parameters=(
             Parameter(symbols.c, (1.0,) * rho, Domain.POSITIVE),
             Parameter(symbols.d, (1.0,) * rho, Domain.POSITIVE),
             Parameter(symbols.Gamma, tuple(np.eye(q).ravel()), Domain.POSITIVE_DEFINITE),
             Parameter(symbols.gamma, (1.0,), Domain.POSITIVE),
             *design.filter_design.parameters,
-            Parameter(symbols.delta, (1.0,), Domain.NONNEGATIVE),
-            Parameter(symbols.delta_1, (1.0,), Domain.NONNEGATIVE),
-            Parameter(symbols.damping, (1.0,), Domain.BOOLEAN),
-            Parameter(symbols.corrected, (1.0,), Domain.BOOLEAN),
-            Parameter(symbols.sign_b_m, (1.0,), Domain.SIGN),
-            *design.adaptation.parameters,
-            *design.rho_adaptation.parameters,
+            *(Parameter(v, (default,), domain) for v, default, domain in known if v is not None),
+            *(parameter for law in laws if law is not None for parameter in law.parameters),
         ),
         gains=design.filter_design.gains,
         outputs=(
             Output(
                 Variables("u", design.u, "Control u of (53)", indexed=False), differentiated=True
             ),
-            Output(symbols.theta_hat),
-            Output(symbols.rho_hat),
+            *(Output(v) for v in estimates),
             Output(Variables("z", design.z, "Error variables z of (45)-(46)")),
         ),
     )

@@ -1,18 +1,18 @@
 """Adaptive backstepping by state feedback with congealed parameters (Sec. III), any n and p.
 
-One recursion serves the paper's law and what goes beyond it. `Options` name what a law copes with:
-each adds rows to the regressor, or damping, and none replaces the recursion. Sections that are
-named by words are those of docs/theory.md.
+One recursion serves the paper's law and what goes beyond it, see `Options`: each option adds rows
+to the regressor, or damping, and none replaces the recursion (docs/theory.md, "Beyond the paper").
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from congelation.errors import InvalidInput
 from congelation.theory.adaptation import Adaptation, AdaptationFactory, Joint, gradient
 from congelation.theory.gains import upper_shift
 from congelation.theory.model import (
@@ -27,37 +27,24 @@ from congelation.theory.model import (
     scalar,
     vector,
 )
+from congelation.theory.options import Options, reference_input
 from congelation.theory.strict_feedback import SYSTEM_60, Regressors, regressors_of
 
 __all__ = [
-    "Options",
     "StateFeedbackDesign",
     "StateFeedbackStep",
     "StateFeedbackSymbols",
-    "reference_input",
     "state_feedback_controller",
     "state_feedback_design",
     "state_feedback_model",
 ]
 
 
-@dataclass(frozen=True)
-class Options:
-    """What a state feedback law copes with, beyond the parameters theta(t) of the paper.
+SMALLEST_SQUARE = 1e-12
+"""Added to |w_i|^2, so that the bound estimator's regressor |w_i| tanh(|w_i| z_i/eta) is smooth."""
 
-    Attributes
-    ----------
-    tracking : bool
-        x_1 follows a reference y_r, whose derivatives up to order n are inputs.
-    varying_gain : bool
-        The plant's input gain b(t) is unknown and varies; its sign is known.
-    unknown_radius : bool
-        The radius delta is not known; epsilon^2 delta^2 / 2 is estimated.
-    """
-
-    tracking: bool = False
-    varying_gain: bool = False
-    unknown_radius: bool = False
+START_OF_ETA = 0.1
+"""Default of the start value of eta, for errors of size 1."""
 
 
 @dataclass(frozen=True)
@@ -68,8 +55,8 @@ class StateFeedbackSymbols:
     theta_hat: Variables
     c: Variables
     Gamma: Variables
-    epsilon: Variables
     damping: Variables
+    epsilon: Variables | None = None
     delta: Variables | None = None
     yr: Variables | None = None
     epsilon_r: Variables | None = None
@@ -79,6 +66,8 @@ class StateFeedbackSymbols:
     gamma: Variables | None = None
     sign_b: Variables | None = None
     epsilon_b: Variables | None = None
+    eta: Variables | None = None
+    decay: Variables | None = None
 
     @classmethod
     def of(cls, n: int, p: int, options: Options) -> StateFeedbackSymbols:
@@ -88,24 +77,34 @@ class StateFeedbackSymbols:
             theta_hat=vector("theta_hat", p, "Estimate of theta, (19)"),
             c=vector("c", n, "Decay rates c_i of (15)"),
             Gamma=matrix("Gamma", p, p, "Adaptation gain of (19)"),
-            epsilon=scalar("epsilon", "Weight in Young's inequality, (26)"),
             damping=scalar("damping", "True: Controller 1, with damping; false: Controller 2"),
         )
+        if options.bound_estimator:
+            about = "True: the bound is estimated; false: Controller 2"
+            found = replace(
+                found,
+                damping=scalar("damping", about),
+                D_hat=scalar("D_hat", "Estimate of the bound of theta(t) - ell"),
+                gamma_D=scalar("gamma_D", "Adaptation gain of D_hat"),
+                eta=scalar("eta", "Width in which tanh stands for a sign"),
+                decay=scalar("decay", "Rate at which eta falls, eta' = -decay eta", "1/s"),
+            )
+        else:
+            found = replace(found, epsilon=scalar("epsilon", "Weight in Young's inequality, (26)"))
         if options.unknown_radius:
             found = replace(
                 found,
                 D_hat=scalar("D_hat", "Estimate of epsilon^2 delta^2 / 2"),
                 gamma_D=scalar("gamma_D", "Adaptation gain of D_hat"),
             )
-        else:
+        elif not options.bound_estimator:
             delta = scalar("delta", "Radius of theta(t), Assumption 1")
             found = replace(found, delta=delta)
         if options.tracking:
-            found = replace(
-                found,
-                yr=reference_input(n).variables,
-                epsilon_r=scalar("epsilon_r", "Weight of the reference in Young's inequality"),
-            )
+            found = replace(found, yr=reference_input(n).variables)
+            if not options.bound_estimator:
+                weight = scalar("epsilon_r", "Weight of the reference in Young's inequality")
+                found = replace(found, epsilon_r=weight)
         if options.varying_gain:
             found = replace(
                 found,
@@ -238,7 +237,7 @@ class StateFeedbackDesign:
 
     @property
     def estimate_rates(self) -> tuple[ca.SX, ...]:
-        """The rates of theta_hat, and of D_hat and rho_hat where there are such.
+        """The rates of theta_hat, and of D_hat, eta and rho_hat where there are such.
 
         theta_hat' of (19) is Gamma chi(theta_hat, tau_n); the gradient law has chi = tau.
         """
@@ -246,6 +245,8 @@ class StateFeedbackDesign:
         p = symbols.theta_hat.symbol.numel()
         rates = symbols.estimate_gain @ self.adaptation.rate(self.steps[-1].tau)
         found = [rates[:p]] if symbols.D_hat is None else [rates[:p], rates[p]]
+        if symbols.eta is not None and symbols.decay is not None:
+            found.append(-symbols.decay.symbol * symbols.eta.symbol)
         if self.rho_adaptation is not None and symbols.sign_b is not None and symbols.gamma:
             z_n, law = self.steps[-1].z, self.rho_adaptation
             regressor = law.regressor(symbols.sign_b.symbol * self.kappa * z_n, z_n)
@@ -256,12 +257,6 @@ class StateFeedbackDesign:
     def theta_hat_rate(self) -> ca.SX:
         """theta_hat' of (19)."""
         return self.estimate_rates[0]
-
-
-def reference_input(n: int) -> Input:
-    """The input yr[0] .. yr[n]: a reference and its derivatives up to order n."""
-    about = "Reference y_r and its derivatives y_r^(j)"
-    return Input.of(Variables("yr", ca.SX.sym("yr", n + 1), about, first=0))
 
 
 def state_feedback_design(
@@ -279,8 +274,19 @@ def state_feedback_design(
         The law of the estimates, see `congelation.theory.adaptation`.
     options : Options, optional
         What the law copes with; None: the paper's.
+
+    Raises
+    ------
+    InvalidInput
+        Regressors that are none, or options that exclude each other.
     """
     regressors, chosen = regressors_of(phibar), options or Options()
+    if chosen.bound_estimator and (chosen.varying_gain or chosen.unknown_radius):
+        raise InvalidInput(
+            "law = 'bound-estimator' excludes gain = 'varying', which needs the factors of the "
+            "damping, and radius = 'estimated', because it estimates the radius itself "
+            "(docs/rivals.md)"
+        )
     n, p = regressors.orders
     symbols = StateFeedbackSymbols.of(n, p, chosen)
     law = adaptation(symbols.theta_hat, symbols.Gamma.symbol, n)
@@ -307,19 +313,27 @@ def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
     z = x[i - 1] - alpha_before  # (12)
     if symbols.yr is not None:
         z -= yr[i - 1]
-    dalpha_dx, dalpha_dtheta, dalpha_dyr = _gradient(alpha_before, x, estimates, yr)
+    eta = ca.SX(0, 1) if symbols.eta is None else symbols.eta.symbol
+    dalpha_dx, dalpha_dtheta, dalpha_dyr, dalpha_deta = _gradient(
+        alpha_before, x, estimates, yr, eta
+    )
     phi = ca.horzcat(*design.regressors.at(x))
     w = phi @ (_e(i, n) - dalpha_dx).T  # (13)
-    T, drift = _state_factor(design), _drift_factor(design)
-    wbar = _regressor_factor(design.factors, ca.vertcat(*(s.T for s in steps), T), dalpha_dx)
-    mixed = (*(s.wbar[: w.numel(), :] for s in steps), wbar)  # without the row of D_hat
-    zeta = symbols.row()
-    zeta[:n] = _damping(symbols, tuple(rows[:, :n] for rows in mixed))
-    if symbols.epsilon_r is not None:
-        zeta[:n] += _tracking_damping(symbols, tuple(rows[:, n:] for rows in mixed))
-    if symbols.D_hat is not None:  # the regressor of D_hat is z_i, in Controller 1 alone
-        w = ca.vertcat(w, symbols.damping.symbol * z)
-        wbar = ca.vertcat(wbar, symbols.damping.symbol * symbols.row(i - 1))
+    zeta = T = drift = wbar = symbols.row()
+    if symbols.eta is not None:  # no damping, so no factors either
+        size = ca.sqrt(ca.sumsqr(w) + SMALLEST_SQUARE)
+        w = ca.vertcat(w, symbols.damping.symbol * size * ca.tanh(size * z / symbols.eta.symbol))
+    else:
+        T, drift = _state_factor(design), _drift_factor(design)
+        wbar = _regressor_factor(design.factors, ca.vertcat(*(s.T for s in steps), T), dalpha_dx)
+        mixed = (*(s.wbar[: w.numel(), :] for s in steps), wbar)  # without the row of D_hat
+        zeta = symbols.row()
+        zeta[:n] = _damping(symbols, tuple(rows[:, :n] for rows in mixed))
+        if symbols.epsilon_r is not None:
+            zeta[:n] += _tracking_damping(symbols, tuple(rows[:, n:] for rows in mixed))
+        if symbols.D_hat is not None:  # the regressor of D_hat is z_i, in Controller 1 alone
+            w = ca.vertcat(w, symbols.damping.symbol * z)
+            wbar = ca.vertcat(wbar, symbols.damping.symbol * symbols.row(i - 1))
 
     regressor = law.regressor(w, z)
     tau = tau_before + regressor * z  # (14)
@@ -336,6 +350,8 @@ def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
     )
     if symbols.yr is not None:
         alpha += dalpha_dyr[:n] @ yr[1:]
+    if symbols.eta is not None and symbols.decay is not None:
+        alpha -= dalpha_deta * symbols.decay.symbol * symbols.eta.symbol
     return StateFeedbackStep(
         z, alpha, w, wbar, tau, slope, mu, zeta, dalpha_dx, dalpha_dtheta, dalpha_dyr, T, drift
     )
@@ -373,6 +389,8 @@ def _damping(symbols: StateFeedbackSymbols, wbar: tuple[ca.SX, ...]) -> ca.SX:
     g_{i,k} = sum_j wbar_{i,j} . wbar_{k,j} is element (i, k) of Wbar^T Wbar. What is left out for
     an unknown radius, -epsilon^2 delta^2 z_i / 2, is -D_hat z_i there.
     """
+    if symbols.epsilon is None:
+        return ca.SX(1, symbols.x.symbol.numel())
     row = _triangular(symbols, wbar, symbols.epsilon)
     if symbols.delta is not None:
         i = len(wbar)
@@ -482,21 +500,22 @@ def state_feedback_model(design: StateFeedbackDesign) -> Model:
         (symbols.delta, (1.0,), Domain.NONNEGATIVE),
         (symbols.epsilon_r, (1.0,), Domain.POSITIVE),
         (symbols.gamma_D, (1.0,), Domain.POSITIVE),
+        (symbols.decay, (0.0,), Domain.NONNEGATIVE),
         (symbols.gamma, (1.0,), Domain.POSITIVE),
         (symbols.epsilon_b, (1.0,), Domain.POSITIVE),
         (symbols.sign_b, (1.0,), Domain.SIGN),
         (symbols.damping, (1.0,), Domain.BOOLEAN),
     )
     laws = (design.adaptation, design.rho_adaptation)
-    estimates = [v for v in (symbols.theta_hat, symbols.D_hat, symbols.rho_hat) if v is not None]
-    named = [f.name.replace("_", " ") for f in fields(options) if getattr(options, f.name)]
-    also = f" ({', '.join(named)})" if named else ""
+    states = (symbols.theta_hat, symbols.D_hat, symbols.eta, symbols.rho_hat)
+    estimates = [v for v in states if v is not None]
+    also = f" ({options})" if str(options) else ""
     return Model(
         name="StateFeedbackController",
         description=f"State feedback controller (19) for the plant (9), n = {n}, p = {p}{also}",
         inputs=tuple(Input.of(v) for v in (symbols.x, symbols.yr) if v is not None),
         states=tuple(
-            State(v, rate, start=(0.0,) * v.symbol.numel())
+            State(v, rate, start=(START_OF_ETA if v is symbols.eta else 0.0,) * v.symbol.numel())
             for v, rate in zip(estimates, design.estimate_rates, strict=True)
         ),
         parameters=(

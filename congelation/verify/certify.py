@@ -153,8 +153,17 @@ def assumptions(design: Design) -> tuple[Remark, ...]:
 
 
 def certificate_of(loop: ClosedLoop) -> Certificate:
-    """The certificate of a loop, by the name of its controller's model."""
-    return _CERTIFICATES[loop.controller.name](loop)
+    """The certificate of a loop, by the name of its controller's model.
+
+    Raises
+    ------
+    InvalidInput
+        If there is none for its law, or for its parameters.
+    """
+    name = loop.controller.name
+    if name not in _CERTIFICATES:
+        raise InvalidInput(f"{name} has no certificate (docs/rivals.md)")
+    return _CERTIFICATES[name](loop)
 
 
 def certify(
@@ -242,6 +251,9 @@ def certify_design(design: Design, samples: int = 1000, seed: int = 0) -> Certif
         law = claim_of(design.loop.values, estimate.name, estimate.symbol.numel())
         if law.leaves_open:
             return Certification(design, Verdict.NOT_CLAIMED, (law.leaves_open,))
+    if design.loop.controller.name not in _CERTIFICATES:
+        reason = "its proof rests on constants that are not known (docs/rivals.md)"
+        return Certification(design, Verdict.NOT_CLAIMED, (reason,))
     try:
         certificate = certificate_of(design.loop)
     except InvalidInput as error:
@@ -352,5 +364,6 @@ def _is_driven(target: str) -> bool:
 def _radius(loop: ClosedLoop, profiles: Sequence[Profile]) -> float:
     """delta is the radius of a(t) alone in output feedback, and not of an input gain b(t)."""
     if "sign_b_m" in loop.values:
-        return box_radius(profiles[len(profiles) - np.size(loop.values["k"]) :])
+        n = loop.state("plant", "x").symbol.numel()
+        return box_radius(profiles[len(profiles) - n :])
     return box_radius(profiles[: loop.state("controller", "theta_hat").symbol.numel()])

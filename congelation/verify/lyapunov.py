@@ -18,12 +18,15 @@ from congelation.scenario.parts import Case
 from congelation.verify.certify import certificate_of
 from congelation.verify.reference import Reference, reference
 
-__all__ = ["MOST_ROWS", "Along", "along", "center", "loop_states", "radii"]
+__all__ = ["MOST_INTEGRATED", "MOST_ROWS", "Along", "along", "center", "loop_states", "radii"]
 
 Floats = npt.NDArray[np.float64]
 
 MOST_ROWS = 1000
 """Rows at which the certificate is evaluated: it takes 20 us at each, a run has 100,000."""
+
+MOST_INTEGRATED = 50_000
+"""The same for integrals, in which what lies between two rows counts."""
 
 
 @dataclass(frozen=True)
@@ -39,16 +42,27 @@ class Along:
     margin : ndarray, shape (K,)
         The largest V' that the radii allow plus the claimed rate of decay, relative to the sum of
         the magnitudes of their terms: positive, beyond rounding, where the claim fails.
+    claimed, residue : ndarray, shape (K,)
+        The claimed rate of decay, and what V' may exceed it by.
     """
 
     time: Floats
     V: Floats
     margin: Floats
+    claimed: Floats
+    residue: Floats
 
     @property
     def worst(self) -> float:
         """The largest margin."""
         return float(np.max(self.margin))
+
+    @property
+    def share(self) -> float:
+        """(V(T) + int claimed dt)/(V(0) + int residue dt), which the certificate keeps below 1."""
+        spent = self.V[-1] + np.trapezoid(self.claimed, self.time)
+        had = self.V[0] + np.trapezoid(self.residue, self.time)
+        return float(spent / had) if had > 0 else 0.0
 
 
 def loop_states(case: Case) -> tuple[str, ...]:
@@ -62,8 +76,10 @@ def loop_states(case: Case) -> tuple[str, ...]:
     return reference(case).certified_names
 
 
-def along(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> Along:
-    """Evaluate the certificate along a run, at `MOST_ROWS` rows or fewer.
+def along(
+    case: Case, time: Floats, columns: Sequence[str], values: Floats, most: int = MOST_ROWS
+) -> Along:
+    """Evaluate the certificate along a run, at `most` rows or fewer.
 
     Parameters
     ----------
@@ -72,6 +88,7 @@ def along(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> A
     columns : sequence of str
         M names, `loop_states` among them.
     values : ndarray, shape (N, M)
+    most : int
 
     Raises
     ------
@@ -80,7 +97,7 @@ def along(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> A
     """
     found = reference(case)
     certificate = certificate_of(found.certified)
-    rows = np.linspace(0, len(time) - 1, min(len(time), MOST_ROWS)).round().astype(int)
+    rows = np.linspace(0, len(time) - 1, min(len(time), most)).round().astype(int)
     picked = [columns.index(name) for name in found.certified_names]
     states = values[rows][:, picked]
     ell = certificate.perturbations.ell(center(found), radii(found))
@@ -89,6 +106,8 @@ def along(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> A
         time[rows],
         np.array([margin.V for margin in margins]),
         np.array([margin.relative for margin in margins]),
+        np.array([margin.claimed for margin in margins]),
+        np.array([margin.residue for margin in margins]),
     )
 
 

@@ -78,6 +78,13 @@ def lyapunov(case: Case, time: Floats, columns: Sequence[str], values: Floats) -
     return along(case, time, columns, values).worst
 
 
+def lyapunov_share(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
+    """How much of what the certificate allows the run has used."""
+    from congelation.verify.lyapunov import MOST_INTEGRATED, along
+
+    return along(case, time, columns, values, MOST_INTEGRATED).share
+
+
 def deviation(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
     """The largest distance from the monolithic solution, relative to a variable's peak."""
     from congelation.verify.reference import compare, reference  # as above
@@ -88,6 +95,7 @@ def deviation(case: Case, time: Floats, columns: Sequence[str], values: Floats) 
 
 LOOP_METRICS: Mapping[str, Callable[[Case, Floats, Sequence[str], Floats], float]] = {
     "lyapunov": lyapunov,
+    "lyapunov_share": lyapunov_share,
     "deviation": deviation,
 }
 """The functions of the metrics that are declared to be of the loop, by name."""

@@ -24,7 +24,7 @@ import numpy.typing as npt
 from congelation.cosim.result import Result
 from congelation.cosim.system import Component, System
 from congelation.errors import CongelationError, InvalidInput
-from congelation.export.forms import fit, models_of
+from congelation.export.forms import BLOCKS, fit, models_of
 from congelation.export.interface import start_names
 from congelation.fmi.description import describe
 from congelation.fmi.start import resolve_start
@@ -150,32 +150,47 @@ def reference(case: Case) -> Reference:
     Raises
     ------
     InvalidInput
-        If the system is no loop of a plant and its controller, both from `congelation build`.
+        If the system is no loop of a plant and its controller, both from `congelation build`, and
+        maybe of a Reference that the controller follows.
     """
-    plant, controller = _loop_members(case.system)
+    plant, controller, source = _loop_members(case.system)
     models = _models(plant, controller)
-    _check_loop(case.system, plant, controller, models)
-    values = {component.name: start_values_of(component) for component in (plant, controller)}
-    source = _constant(models[1], values[controller.name])
-    loop = close(*models, _parameters(models[1], values[controller.name]), source)
+    members = (plant, controller) if source is None else (plant, controller, source)
+    values = {component.name: start_values_of(component) for component in members}
+    model = _constant(models[1], values[controller.name]) if source is None else _block(source)
+    _check_loop(case.system, plant, controller, source, models)
+    loop = close(
+        *models,
+        _parameters(models[1], values[controller.name]),
+        model,
+        _parameters(model, values[source.name]) if source is not None and model else None,
+    )
     states = {
         state.variables.name: [
             float(values[c.name][name]) for name in start_names(state, c is plant)
         ]
-        for c, model in zip((plant, controller), models, strict=True)
-        for state in model.states
+        for c, derived in zip(members, (*models, model), strict=False)
+        if derived is not None
+        for state in derived.states
     }
     profiles, offsets = theta_of(values[plant.name])
+    signals = [] if source is None else theta_of(values[source.name])[0]
     return Reference(
         plant.name,
         controller.name,
-        "",
+        "" if source is None else source.name,
         loop,
         tuple(profiles),
         tuple(offsets),
-        _segments(case, profiles, offsets),
+        _segments(case, profiles, offsets, signals, timed=source is not None),
         loop.start(states),
     )
+
+
+def _block(component: Component) -> Model:
+    """The model of a block, derived anew."""
+    about = _spec(component)
+    return BLOCKS[about["form"]].model(about["structure"])
 
 
 def _constant(controller: Model, values: Mapping[str, Scalar]) -> Model | None:
@@ -264,12 +279,18 @@ def _deviation(variable: str, values: Floats, exact: Floats) -> Deviation:
     return Deviation(variable, error, error / peak if peak > 0.0 else math.inf)
 
 
-def _loop_members(system: System) -> tuple[Component, Component]:
-    roles = {_spec(component)["role"]: component for component in system.components}
-    if len(system.components) != 2 or set(roles) != set(_ROLES):
+def _loop_members(system: System) -> tuple[Component, Component, Component | None]:
+    """The plant, the controller, and the block that the controller's reference comes from."""
+    about = {component.name: _spec(component) for component in system.components}
+    roles = {about[component.name]["role"]: component for component in system.components}
+    references = [c for c in system.components if about[c.name]["form"] == "reference"]
+    alone = len(system.components) == 2 + len(references) and len(references) <= 1
+    if not alone or not set(_ROLES) <= set(roles):
         names = ", ".join(component.name for component in system.components)
-        raise InvalidInput(f"a plant and its controller are needed, not {names}")
-    return roles["plant"], roles["controller"]
+        raise InvalidInput(
+            f"a plant and its controller are needed, and a Reference at most, not {names}"
+        )
+    return roles["plant"], roles["controller"], next(iter(references), None)
 
 
 def _spec(component: Component) -> dict[str, Any]:
@@ -314,17 +335,20 @@ def _typed(kind: str, text: str) -> Scalar:
 
 
 def _check_loop(
-    system: System, plant: Component, controller: Component, models: tuple[Model, Model]
+    system: System,
+    plant: Component,
+    controller: Component,
+    reference: Component | None,
+    models: tuple[Model, Model],
 ) -> None:
     """The monolithic loop connects equal names both ways; the system has to do just that."""
-    ends = ((controller, plant, models[0]), (plant, controller, models[1]))
-    wanted = {
-        f"{source.name}.{name} -> {target.name}.{name}"
-        for source, target, model in ends
-        for entry in model.inputs
-        if entry.variables.first == 1  # a reference has a source of its own
-        for name in entry.variables.names
-    }
+    wanted = set()
+    for one, other, model in ((controller, plant, models[0]), (plant, controller, models[1])):
+        for entry in model.inputs:
+            source = one if entry.variables.first == 1 else reference
+            if source is not None:
+                names = entry.variables.names
+                wanted |= {f"{source.name}.{name} -> {other.name}.{name}" for name in names}
     given = {link.name for link in system.resolve().links}
     for name in sorted(wanted ^ given):
         verb = "is missing" if name in wanted else "is none of the loop's"
@@ -339,15 +363,20 @@ def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]
 
 
 def _segments(
-    case: Case, profiles: Sequence[Profile], offsets: Sequence[float]
+    case: Case,
+    profiles: Sequence[Profile],
+    offsets: Sequence[float],
+    signals: Sequence[Profile],
+    timed: bool,
 ) -> tuple[Segment, ...]:
-    """theta(t) on the smooth pieces between the jumps of any of its components."""
+    """theta(t), then the signals of the reference and time, on the pieces between their jumps."""
     stop = case.experiment.stop_time
     segments, time = [], case.experiment.start_time
     while time < stop:
-        pieces = [profile.segment(time) for profile in profiles]
+        pieces = [profile.segment(time) for profile in (*profiles, *signals)]
         end = min([piece.end for piece in pieces] + [stop])
-        segments.append(Segment(time, end, partial(_theta_at, pieces, offsets)))
+        added = (*offsets, *(0.0 for _ in signals))
+        segments.append(Segment(time, end, partial(_theta_at, pieces, added, timed)))
         time = end
     return tuple(segments)
 
@@ -366,5 +395,8 @@ def theta_of(values: Mapping[str, Scalar]) -> tuple[list[Profile], list[float]]:
     return profiles, offsets
 
 
-def _theta_at(pieces: Sequence[Piece], offsets: Sequence[float], t: float) -> list[float]:
-    return [piece.value(t) + offset for piece, offset in zip(pieces, offsets, strict=True)]
+def _theta_at(
+    pieces: Sequence[Piece], offsets: Sequence[float], timed: bool, t: float
+) -> list[float]:
+    values = [piece.value(t) + offset for piece, offset in zip(pieces, offsets, strict=True)]
+    return [*values, t] if timed else values

@@ -79,6 +79,12 @@ def test_one_cause_is_one_finding(
     assert "Traceback" not in to_json(report)
 
 
+def test_two_faults_of_one_call_are_two_findings(library: Library, tmp_path: Path) -> None:
+    path = lag.build(tmp_path, library("parameter_survives_reset reset_refused"))
+    report = check([path], rules=["FMI2-RESET-02", "FMI2-RESET-03"])
+    assert [finding.rule for finding in report.findings] == ["FMI2-RESET-02", "FMI2-RESET-03"]
+
+
 def test_finding_has_the_log_of_the_fmu(library: Library, tmp_path: Path) -> None:
     path = lag.build(tmp_path, library("instantiation_fails"))
     (finding,) = check([path], rules=["FMI2-LIB-03"]).findings

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from congelation.cosim import SlavePool, simulate, stepping
+from congelation.cosim import SlavePool, compiled, simulate, stepping
 from congelation.cosim.step_control import StepSize
 from congelation.scenario.load import load_scenario
 from congelation.verify.reference import reference
@@ -142,6 +142,7 @@ def test_rejected_steps_leave_no_trace(pool, monkeypatch):
     def same_again(self, error, length, order):
         return self if error == forced_error else refused(self, error, length, order)
 
+    monkeypatch.setattr(compiled, "library", lambda: None)  # what is patched is the Python loop
     monkeypatch.setattr(stepping, "_tried", sometimes_refused)
     monkeypatch.setattr(StepSize, "refused", same_again)
     forced = simulate(case.system, **kwargs)

@@ -91,8 +91,12 @@ def test_preallocated_access_equals_plain_access(fmus):
     with ready(fmus, "TestGain", {"k": 3.0}) as slave:
         variables = slave.description.variables
         values, outputs = np.zeros(2), np.zeros(2)
-        write = slave.writer([variables[n].reference for n in ("u", "der(u)")], values)
-        read = slave.reader([variables[n].reference for n in ("y", "der(y)")], outputs)
+        write = slave.bound(
+            "fmi2SetReal", [variables[n].reference for n in ("u", "der(u)")], [], values
+        )
+        read = slave.bound(
+            "fmi2GetReal", [variables[n].reference for n in ("y", "der(y)")], [], outputs
+        )
         values[:] = [2.0, 0.5]
         write()
         read()
@@ -116,7 +120,7 @@ def test_an_exception_in_an_fmu_is_a_failure_and_the_instance_is_abandoned(fmus)
 
 def test_a_failing_call_gives_the_logged_message_in_one_line(fmus):
     with ready(fmus, "TestPlant") as slave, pytest.raises(SlaveError, match="setReal") as caught:
-        slave.writer([10**6], np.zeros(1))()
+        slave.bound("fmi2SetReal", [10**6], [], np.zeros(1))()
     assert "\n" not in str(caught.value)
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import sqlite3
 from pathlib import Path
 
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from congelation.design.tune import tune, write_proposals
 from congelation.errors import InvalidInput
 from congelation.export.spec import read_spec
+from congelation.results.results import open_results
 from congelation.verify.certify import certify_design, designs_of
 from tests.scenarios import ROOT
 
@@ -37,16 +40,24 @@ def test_a_wish_that_cannot_be_met_is_said_with_the_nearest() -> None:
     assert found.unmet[0].startswith("settling = 0.001: the nearest design has ")
 
 
-def test_a_search_goes_on_from_its_journal(tmp_path: Path) -> None:
-    file = tmp_path / "designs.jsonl"
-    options = {"evaluations": 20, "stop_time": 5.0, "journal": file, "proposals": 1}
+def test_a_search_goes_on_from_its_result_directory(tmp_path: Path) -> None:
+    options = {"evaluations": 20, "stop_time": 5.0, "out": tmp_path / "tried", "proposals": 1}
     whole = tune(SPEC, **options)
-    lines = file.read_text().splitlines()
-    file.write_text("\n".join([*lines[:6], lines[6][:9]]))  # killed while it wrote a line
+    runs = open_results(tmp_path / "tried").runs
+    assert len(runs) == whole.evaluations
+    assert {"set.controller.c[1]", "set.controller.Gamma[1,1]", "metric.effort"} <= {*runs.columns}
+    assert all(
+        run.metrics["settling"] <= 5.0 or run.metrics["settling"] == math.inf
+        for run in runs
+        if run.status == "COMPLETED"
+    )
     with pytest.raises(InvalidInput, match="--resume"):
         tune(SPEC, **options)
+    with sqlite3.connect(tmp_path / "tried" / "runs.sqlite") as database:  # as if killed early
+        database.execute("DELETE FROM runs WHERE number >= 6")
     resumed = tune(SPEC, **options, resume=True)
     assert resumed.nearest.objectives == whole.nearest.objectives
+    assert len(open_results(tmp_path / "tried").runs) == whole.evaluations
     with pytest.raises(InvalidInput, match="another spec or horizon"):
         tune(SPEC, **{**options, "stop_time": 6.0}, resume=True)
 

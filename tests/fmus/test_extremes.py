@@ -10,6 +10,8 @@ from congelation.errors import DesignWarning
 from congelation.export.build import build
 from tests.fmus.instance import DISCARD, ERROR, FMUS, Instance, loaded
 
+pytestmark = pytest.mark.slow
+
 EXTREMES = (1e300, -1e300, 1e150, 1e-150, 1e-300, 5e-324, 0.0)
 FATAL = "Fatal py exception"
 # Infinite where theta never jumps.

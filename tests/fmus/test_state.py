@@ -109,6 +109,7 @@ def test_damaged_bytes_are_refused(fmu, damage):
             instance.slave.freeFMUstate(handle_)
 
 
+@pytest.mark.slow
 def test_exit_of_the_host():
     """A host that has restored a state ends well; without the exit guard one in seven aborts."""
     fmu = FMUS / "MatchedPlant.fmu"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -66,15 +67,18 @@ def record(run_id: str, number: int, **changes: object) -> RunRecord:
 
 
 def results(
-    folder: Path, entries: Sequence[tuple[RunRecord, Trajectory]], **about: object
+    folder: Path,
+    entries: Sequence[tuple[RunRecord, Trajectory]],
+    more: Sequence[RunRecord] = (),
+    **about: object,
 ) -> Results:
-    """A result directory with these runs."""
+    """A result directory with these runs, and `more` without trajectories."""
     store = Store(folder)
     store.create()
     store.begin("s", {**ABOUT, **about})
     for entry, recorded in entries:
         store.write_trajectory(entry.run_id, trajectory_bytes(recorded))
-    store.add([entry for entry, _ in entries])
+    store.add([*(entry for entry, _ in entries), *more])
     store.close()
     return Results(folder)
 
@@ -101,3 +105,31 @@ def stored_failures(folder: Path) -> Results:
             (record("r2", 2, message="no start", **failed), trajectory(1, 0)),
         ],
     )
+
+
+def stored_study(folder: Path, kept: int = 3) -> Results:
+    """Two variants on a grid of omega and a: the second settles below omega = 10 alone."""
+    entries = []
+    for number, (omega, a) in enumerate((w, a) for w in (0.1, 1.0, 10.0, 100.0) for a in (1, 2)):
+        for variant in (1, 2):
+            settles = variant == 1 or omega < 10.0
+            entries.append(
+                record(
+                    f"r{number}{variant}",
+                    2 * number + variant,
+                    variant=f"Controller {variant}",
+                    settings={"plant.omega": omega, "plant.a": float(a)},
+                    metrics={
+                        "peak_x": a * (1.0 + omega / 100.0),
+                        "settling_x": variant * a if settles else float("inf"),
+                        "peak_u": 50.0 * a if variant == 1 else float(a),
+                    },
+                )
+            )
+    failed = {"metrics": {}, "status": "DIVERGED", "message": "plant: x[1] <too> large"}
+    entries[-1] = replace(entries[-1], **failed)  # type: ignore[arg-type]
+    metrics = {**ABOUT["metrics"]}  # type: ignore[dict-item]
+    metrics["peak_u"] = {"metric": "peak", "of": "controller.u", "definition": "max", "unit": ""}
+    about = {"swept": True, "varied": ["plant.omega", "plant.a"], "metrics": metrics}
+    held = [(entry, trajectory(1.0)) for entry in entries[:kept]]
+    return results(folder, held, entries[kept:], **about)

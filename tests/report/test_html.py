@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import re
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -12,9 +10,9 @@ import pytest
 from congelation.errors import CongelationError, InvalidInput
 from congelation.report.html import write_html
 from congelation.results.results import Results
-from tests.report.stored import stored, stored_failures
+from tests.report.stored import stored, stored_failures, stored_study
 
-VOID = {"meta", "img", "br"}
+VOID = {"meta", "img", "br", "input"}
 
 
 class Page(HTMLParser):
@@ -65,13 +63,18 @@ def test_the_report_holds_what_was_stored(tmp_path: Path) -> None:
 
 
 def test_the_report_needs_no_other_file(tmp_path: Path) -> None:
+    """It is HTML all through, and nothing in it names another file; the browser tests watch it."""
     found = page(stored(tmp_path), tmp_path / "report.html")
-    assert len(found.sources) == 2
-    for source in found.sources:
-        kind, _, data = source.partition(",")
-        assert kind == "data:image/png;base64"
-        assert base64.b64decode(data, validate=True).startswith(b"\x89PNG")
-    assert not re.search(r"https?://|@import|<script", (tmp_path / "report.html").read_text())
+    assert found.sources == ["#content"]
+    assert "@import" not in (tmp_path / "report.html").read_text()
+
+
+def test_the_verdict_and_the_price_come_first(tmp_path: Path) -> None:
+    found = page(stored(tmp_path), tmp_path / "report.html")
+    head = found.text[: found.text.index("Trajectories")]
+    assert "Controller 1 settles after 2.5 s and Controller 2 does not settle." in head
+    # u = gain exp(-t), gains 1000 and 1; no metric measures it.
+    assert "Controller 1 pays 1000 times the peak of |u| of Controller 2." in head
 
 
 def test_failures_and_deviations_are_told(tmp_path: Path) -> None:
@@ -90,3 +93,14 @@ def test_places_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(CongelationError, match=r"report\.html cannot be written"):
         write_html(store, tmp_path / "file" / "report.html")
+
+
+def test_a_study_says_where_it_fails_and_what_it_costs(tmp_path: Path) -> None:
+    found = page(stored_study(tmp_path, kept=0), tmp_path / "report.html")
+    head = found.text[: found.text.index("Metric against a setting")]
+    assert "Controller 1 settles in all 8 runs." in head
+    assert "Controller 2 settles in 4 of 8 runs: in all up to omega = 1 and in none" in head
+    assert "from omega = 10 on." in head
+    assert "a peak of |u| that is 50 times that of Controller 2" in head
+    assert "plant: x[1] <too> large" in found.text
+    assert "No trajectories were kept." in found.text

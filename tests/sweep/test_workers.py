@@ -13,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from congelation.results.record import Outcome
 from congelation.scenario.load import load_scenario
-from congelation.sweep.execute import Job, Outcome, Task
+from congelation.sweep.execute import Job, Task
 from congelation.sweep.plan import plan_study
 from congelation.sweep.workers import Finished, Local, Lost, Progress, Unfinished
 from tests.scenarios import write

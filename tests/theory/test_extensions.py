@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 
 from congelation.errors import InvalidInput
-from congelation.theory import state_feedback
+from congelation.theory import output_feedback, state_feedback
 from congelation.theory.adaptation import gradient, robust
 from congelation.theory.closed_loop import close
-from congelation.theory.lyapunov import state_feedback_certificate
-from congelation.theory.state_feedback import (
-    Options,
-    StateFeedbackDesign,
-    state_feedback_controller,
-)
+from congelation.theory.lyapunov import output_feedback_certificate, state_feedback_certificate
+from congelation.theory.observer_form import observer_form_plant
+from congelation.theory.options import Options
+from congelation.theory.output_feedback import output_feedback_controller
+from congelation.theory.state_feedback import StateFeedbackDesign, state_feedback_controller
 from congelation.theory.strict_feedback import (
     Nonlinear,
     hadamard_defect,
@@ -27,7 +26,12 @@ from congelation.theory.strict_feedback import (
     strict_feedback_plant,
 )
 
-from .systems import numbers, random_phibar, random_state_feedback_parameters
+from .systems import (
+    numbers,
+    random_output_feedback_parameters,
+    random_phibar,
+    random_state_feedback_parameters,
+)
 
 TRACKING, GAIN, RADIUS = (
     Options(tracking=True),
@@ -233,6 +237,164 @@ def test_derivation_at_order_4_of_4_parameters():
         rng = np.random.default_rng(8)
         model = state_feedback_controller(random_phibar(rng, 4, 4), robust, options)
         assert model.output("u").numel() == 1
+
+
+# The bound estimator, a rival.
+
+
+def estimator_loop(seed, n, p, adaptation=gradient, tracking=False, **parameters):
+    rng = np.random.default_rng(seed)
+    values = random_state_feedback_parameters(rng, n, p)
+    values = {k: values[k] for k in ("c", "Gamma", "damping")} | {"gamma_D": 1.3}
+    options = Options(tracking=tracking, bound_estimator=True)
+    return closed(random_phibar(rng, n, p), values | parameters, options, adaptation)
+
+
+@pytest.mark.parametrize("tracking", [False, True])
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2), (3, 3)])
+def test_the_claim_of_the_bound_estimator_holds(n, p, tracking):
+    for law, parameters in ((gradient, {"decay": 0.5}), (robust, {"sigma": 0.3})):
+        loop = estimator_loop(n + p, n, p, law, tracking, **parameters)
+        finding = state_feedback_certificate(loop).search(150, ascents=2)
+        assert not finding.violated, (finding.margin, finding.state)
+        assert finding.resolved > 50
+
+
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2)])
+def test_without_its_estimate_the_bound_estimator_fails(n, p):
+    assert violated(estimator_loop(n + p, n, p, damping=0.0))
+
+
+def test_the_width_of_the_bound_estimator_has_to_fall_in_its_law(monkeypatch):
+    """Without (d alpha/d eta) eta' in alpha_i V' grows with the rate of eta."""
+    gradient_of = state_feedback._gradient
+
+    def without(alpha, *symbols):
+        *rows, eta = gradient_of(alpha, *symbols)
+        return [*rows, ca.SX(*eta.shape)]
+
+    monkeypatch.setattr(state_feedback, "_gradient", without)
+    assert violated(estimator_loop(4, 2, 2, decay=50.0))
+
+
+def test_first_order_bound_estimator_by_hand():
+    rng, phibar = np.random.default_rng(9), 0.7
+    model = state_feedback_controller([[[phibar]]], options=Options(bound_estimator=True))
+    v = {"c": 1.2, "Gamma": 0.8, "gamma_D": 1.7, "decay": 0.4, "damping": 1.0}
+    for _ in range(20):
+        x, theta_hat, D_hat = rng.normal(size=3)
+        eta = rng.uniform(0.05, 1)
+        state = {"x": x, "theta_hat": theta_hat, "D_hat": D_hat, "eta": eta}
+        found = numbers(model, [model.output("u"), *(s.rate for s in model.states)], {**v, **state})
+        size = np.sqrt((phibar * x) ** 2 + state_feedback.SMALLEST_SQUARE)
+        psi = size * np.tanh(size * x / eta)
+        expected = [
+            -1.2 * x - phibar * x * theta_hat - psi * D_hat,
+            0.8 * phibar * x**2,
+            1.7 * psi * x,
+            -0.4 * eta,
+        ]
+        assert [f.item() for f in found] == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("options", [GAIN, RADIUS], ids=named)
+def test_options_that_exclude_the_bound_estimator(options):
+    with pytest.raises(InvalidInput, match="excludes gain = 'varying'"):
+        state_feedback_controller(options=dataclasses.replace(options, bound_estimator=True))
+
+
+# Output feedback: tracking, unknown radius.
+
+
+OUTPUT = [TRACKING, RADIUS, Options(tracking=True, unknown_radius=True)]
+
+
+def random_output_loop(seed, n, m, options, adaptation=gradient, **parameters):
+    values = random_output_feedback_parameters(np.random.default_rng(seed), n, m)
+    if options.unknown_radius:
+        for name in ("delta", "delta_1", "corrected"):
+            del values[name]
+        values["gamma_D"] = 1.3
+    elif options.tracking:
+        values["q"] = 0.7
+    controller = output_feedback_controller(n, m, adaptation, options=options)
+    return close(observer_form_plant(n, m), controller, values | parameters)
+
+
+@pytest.mark.parametrize("options", OUTPUT, ids=named)
+@pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (2, 1), (3, 0), (3, 1), (3, 2)])
+def test_the_claim_holds_for_output_feedback(n, m, options):
+    for sign, parameters in ((1.0, {}), (-1.0, {"sigma": 0.3})):
+        law = robust if parameters else gradient
+        loop = random_output_loop(n + m, n, m, options, law, sign_b_m=sign, **parameters)
+        finding = output_feedback_certificate(loop).search(120, ascents=2)
+        assert not finding.violated, (finding.margin, finding.state)
+        assert finding.resolved > 10
+
+
+def output_violated(loop):
+    return output_feedback_certificate(loop).search(300, ascents=5).violated
+
+
+@pytest.mark.parametrize(("n", "m"), [(2, 0), (3, 1)])
+def test_output_feedback_without_the_share_of_the_reference_fails(monkeypatch, n, m):
+    """The damping without its factor 1 + q; of first order the rest of the law is enough."""
+    damping = output_feedback._damping
+    monkeypatch.setattr(
+        output_feedback,
+        "_damping",
+        lambda design: damping(design) / (1 + design.symbols.q.symbol),
+    )
+    assert output_violated(random_output_loop(n + m, n, m, TRACKING, q=3.0))
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (3, 1)])
+def test_output_feedback_needs_the_reference_in_the_law_of_rho_hat(monkeypatch, n, m):
+    """rho_hat' = -gamma sgn(b_m) alphabar_1 z_1, as without a reference."""
+
+    def rate(design):
+        symbols, law = design.symbols, design.rho_adaptation
+        regressor = -symbols.sign_b_m.symbol * design.alphabar_1
+        return symbols.gamma.symbol * law.rate(regressor * symbols.z_1)
+
+    monkeypatch.setattr(output_feedback, "_rho_hat_rate", rate)
+    assert output_violated(random_output_loop(n + m, n, m, TRACKING))
+
+
+@pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (3, 1)])
+def test_output_feedback_without_an_estimate_of_the_radius_fails(monkeypatch, n, m):
+    monkeypatch.setattr(
+        output_feedback.OutputFeedbackDesign, "D_hat_rate", property(lambda design: ca.SX(0))
+    )
+    assert output_violated(random_output_loop(n + m, n, m, RADIUS))
+
+
+def test_first_order_output_feedback_by_hand():
+    """n = 1, m = 0: y' = b u - a y, where xi_2 and row 2 of Omega are 0."""
+    rng, options = np.random.default_rng(4), OUTPUT[-1]
+    model = output_feedback_controller(1, 0, options=options)
+    loop = random_output_loop(4, 1, 0, options)
+    v = loop.values
+    for _ in range(20):
+        y, rho_hat, D_hat, eta, lam, yr, dyr = rng.normal(size=7)
+        theta_hat = rng.normal(size=2)
+        state = {"theta_hat": theta_hat, "rho_hat": rho_hat, "D_hat": D_hat}
+        values = {**v, **state, "eta": eta, "lambda": lam, "y": y, "yr": [yr, dyr]}
+        (u, *rates) = numbers(
+            model, [model.output("u"), *(s.rate for s in model.states[:3])], values
+        )
+        z = y - yr
+        alphabar = -(v["c"] + v["d"] + D_hat).item() * z + y * theta_hat[1]
+        assert u.item() == pytest.approx(rho_hat * (alphabar + dyr))
+        assert rates[0].ravel() == pytest.approx(v["Gamma"] @ [0, -y * z])
+        expected = -v["gamma"].item() * v["sign_b_m"].item() * (alphabar + dyr) * z
+        assert rates[1].item() == pytest.approx(expected)
+        assert rates[2].item() == pytest.approx(v["gamma_D"].item() * z**2)
+
+
+def test_output_feedback_refuses_a_varying_gain():
+    with pytest.raises(InvalidInput, match="gain = 'varying' has no certificate in output"):
+        output_feedback_controller(2, 0, options=GAIN)
 
 
 # Nonlinear regressors.

@@ -51,6 +51,77 @@ def test_a_plant_and_a_law_of_different_systems_are_told_apart() -> None:
         deviation(system("VaryingGainPlant", "UnknownRadiusController", {}), 0.01)
 
 
+@pytest.mark.slow
+def test_output_feedback_that_tracks_with_an_unknown_radius(tmp_path: Path) -> None:
+    plant, controller = cg.build(ROOT / "specs" / "tracking_output.toml", out=tmp_path)
+    links = (
+        cg.Connection("plant.y", "law.y"),
+        cg.Connection("law.u", "plant.u"),
+        cg.Connection("reference.yr", "law.yr"),
+    )
+    components = (
+        cg.Component("plant", plant),
+        cg.Component("law", controller),
+        cg.Component("reference", FMUS / "Reference.fmu", {"amplitude": [1, 0.3]}),
+    )
+    assert deviation(cg.System(components, links), 1.0) < 1e-5
+
+
+@pytest.mark.parametrize("name", ["bound_estimator", "filtered_transformation"])
+def test_rivals_as_fmus(tmp_path: Path, name: str) -> None:
+    plant, controller = cg.build(ROOT / "specs" / f"{name}.toml", out=tmp_path)
+    measured = "x" if name == "bound_estimator" else "y"
+    links = cg.Connection(f"plant.{measured}", f"law.{measured}"), cg.Connection("law.u", "plant.u")
+    components = cg.Component("plant", plant), cg.Component("law", controller)
+    assert deviation(cg.System(components, links), 0.5) < 1e-5
+
+
+def test_the_filtered_transformation_has_no_certificate() -> None:
+    (found,) = certify(ROOT / "specs" / "filtered_transformation.toml")
+    assert found.verdict is Verdict.NOT_CLAIMED
+    assert "not known" in found.reasons[0]
+
+
+def tracking(folder: Path, *changes: tuple[str, str]) -> Path:
+    """The scenario over 1 s."""
+    text = (ROOT / "scenarios" / "tracking.toml").read_text()
+    for old, new in (("stop_time = 20.0", "stop_time = 1.0"), *changes):
+        assert old in text
+        text = text.replace(old, new)
+    file = folder / "scenario.toml"
+    file.write_text(text)
+    return file
+
+
+@pytest.mark.slow
+def test_tracking_keeps_to_its_bound_along_a_run(tmp_path: Path) -> None:
+    """V' at every point, and the mean of the error; with a reference that jumps, too."""
+    results = cg.run(tracking(tmp_path), out=tmp_path / "out", verify=True)
+    for run in results.runs:
+        assert max(run.deviations.values()) < 2e-5
+        if run.variant == "Controller 2":  # its damping is left out
+            assert run.metrics["margin"] > 1e-3
+        else:
+            assert run.metrics["margin"] < 1e-9
+            assert run.metrics["share"] < 1.0
+
+
+def test_a_scenario_with_a_reference_is_certified(tmp_path: Path) -> None:
+    found = {c.design.name: c.verdict for c in certify(tracking(tmp_path), samples=50)}
+    assert found.pop("Controller 2") is Verdict.VIOLATED
+    assert set(found.values()) == {Verdict.HOLDS}
+
+
+def test_a_reference_with_too_few_derivatives_is_refused(tmp_path: Path) -> None:
+    spec = tmp_path / "short.toml"
+    spec.write_text('form = "reference"\nstructure = {n = 1}\n[block]\nname = "Short"\n')
+    cg.build(spec, out=tmp_path)
+    change = ('fmu = "Reference"', f'fmu = "{tmp_path / "Short.fmu"}"')
+    with pytest.raises(InvalidInput, match="2 outputs for 3 inputs") as caught:
+        cg.load_scenario(tracking(tmp_path, change))
+    assert "\n" not in str(caught.value)
+
+
 SPEC = (ROOT / "specs" / "varying_gain.toml").read_text()
 
 
@@ -95,6 +166,16 @@ MISTAKES = {
         'phibar = {"1,1" = [-1, 0], "2,1" = [0, -1]}',
         'phi = {1 = ["x[1]"]}',
         r"structure\.phi\.1.*2 formulas",
+    ),
+    "a law of another form": (
+        'gain = "varying"',
+        'law = "filtered-transformation"',
+        "law = 'filtered-transformation' is none of form 'strict-feedback'",
+    ),
+    "options that exclude each other": (
+        'gain = "varying"',
+        'gain = "varying"\nlaw = "bound-estimator"',
+        "excludes gain = 'varying'",
     ),
     "a gain of another kind": ('gain = "varying"', 'gain = "fast"', "gain"),
 }

@@ -136,7 +136,8 @@ MISTAKES = {
     "two plants": (
         "[experiment]",
         f'[components.other]\nfmu = "{FMUS}/ScalarPlant.fmu"\n[experiment]',
-        "a plant and its controller are needed, not plant, controller, other",
+        "a plant and its controller are needed, and a Reference at most, not plant, controller, "
+        "other",
     ),
 }
 

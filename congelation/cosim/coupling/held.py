@@ -61,10 +61,14 @@ class Jacobi(Coupling):
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
     ) -> Stepper[None]:
         """This coupling at work."""
-        return _JacobiStepper(ensemble)
+        return JacobiStepper(ensemble)
 
 
-class _JacobiStepper(Stepper[None]):
+class JacobiStepper(Stepper[None]):
+    """`jacobi` at work."""
+
+    sequential = False
+
     def __init__(self, ensemble: Ensemble) -> None:
         slaves = range(len(ensemble.slaves))
         self._ensemble = ensemble
@@ -134,10 +138,14 @@ class GaussSeidel(Coupling):
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
     ) -> Stepper[None]:
         """This coupling at work."""
-        return _GaussSeidelStepper(ensemble)
+        return GaussSeidelStepper(ensemble)
 
 
-class _GaussSeidelStepper(Stepper[None]):
+class GaussSeidelStepper(Stepper[None]):
+    """`gauss_seidel` at work."""
+
+    sequential = True
+
     def __init__(self, ensemble: Ensemble) -> None:
         self._ensemble = ensemble
         self._Y, self._source = ensemble.Y, ensemble.source

@@ -21,6 +21,7 @@ from congelation.cosim.coupling.interpolant import (
     order_of_longer_step,
 )
 from congelation.cosim.coupling.points import LinkReader, Points
+from congelation.cosim.coupling.polynomial import product
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.result import RunEnded, Status
@@ -28,7 +29,7 @@ from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 from congelation.fmi.slave import StepDiscarded
 
-__all__ = ["Hermite"]
+__all__ = ["Hermite", "HermiteState", "HermiteStepper", "Plan"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -136,7 +137,7 @@ class Hermite(Coupling):
         InvalidInput
             Order 6 for a connection that cannot have it.
         """
-        return _HermiteStepper(ensemble, self, tolerance)
+        return HermiteStepper(ensemble, self, tolerance)
 
 
 class HermiteState(NamedTuple):
@@ -158,6 +159,35 @@ class HermiteState(NamedTuple):
     order: int
     J: Floats
     length: float
+
+
+class Plan(NamedTuple):
+    """What `hermite` is on a system whose inputs take cubics from sources with derivatives, for the
+    compiled loop.
+
+    Parameters
+    ----------
+    highest : int
+        LOW or HIGH.
+    chooses : bool
+        Whether each step may have another order.
+    accelerates : bool
+    max_iterations : int
+    accuracy : float
+        Change at which iterations end.
+    back : integer array, shape (n / 2,)
+        The links that are fed back.
+    forward : boolean array, shape (slaves, L)
+        The links whose source is that slave, and steps before their target.
+    """
+
+    highest: int
+    chooses: bool
+    accelerates: bool
+    max_iterations: int
+    accuracy: float
+    back: npt.NDArray[np.intp]
+    forward: npt.NDArray[np.bool_]
 
 
 class _Feedback:
@@ -196,7 +226,9 @@ class _Feedback:
         return int(self.start[np.abs(r).reshape(2, -1).max(axis=0).argmax()])
 
 
-class _HermiteStepper(AdaptiveStepper[HermiteState]):
+class HermiteStepper(AdaptiveStepper[HermiteState]):
+    """`hermite` at work."""
+
     def __init__(self, ensemble: Ensemble, coupling: Hermite, tolerance: float | None) -> None:
         self._ensemble = ensemble
         self._coupling = coupling
@@ -231,6 +263,23 @@ class _HermiteStepper(AdaptiveStepper[HermiteState]):
             + len(ensemble.slaves)
             + sum(ensemble.read_calls)
             + 2 * sum(self._held)
+        )
+
+    def plan(self) -> Plan | None:
+        """The same as data, for steps chosen by a tolerance; None where the compiled loop does not
+        do it."""
+        coupling = self._coupling
+        if self.halves or coupling.iterations is not None or self._tolerance is None:
+            return None
+        none = np.zeros(len(self._ensemble.links), bool)
+        return Plan(
+            self._highest,
+            coupling.order is None,
+            self._accelerates,
+            coupling.max_iterations,
+            self._accuracy,
+            self._feedback.start,
+            np.array([none if mask is None else mask for mask in self._forward]),
         )
 
     def _highest_order(self) -> int:
@@ -296,7 +345,7 @@ class _HermiteStepper(AdaptiveStepper[HermiteState]):
             g = new.reshape(-1).take(feedback.found)
             given = w.take(feedback.given)
             z, r = given / scales, (g - given) / scales
-            change = float(np.sqrt(r.dot(r)))
+            change = float(np.sqrt(np.cumsum(r * r)[-1])) if r.size else 0.0
             if not math.isfinite(change):
                 if count == 1:
                     self._ensemble.check(end)
@@ -339,7 +388,7 @@ class _HermiteStepper(AdaptiveStepper[HermiteState]):
         and derivatives at the end, shape (2, L)."""
         ensemble, length = self._ensemble, end - time
         for m, slave in enumerate(ensemble.slaves):
-            np.dot(piece.matrix, piece.data, out=ensemble.C)
+            ensemble.C[:] = product(piece.matrix, piece.data)
             if self._is_low:
                 self._lower(piece.data, length)
             ensemble.write[m]()

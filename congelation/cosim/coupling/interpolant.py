@@ -104,10 +104,11 @@ def estimated_error(
     # f''''/24 h^2 (h + g)^2, which gives f''''; its derivative gives the same fourth divided
     # difference.
     g = points.distance(before[0])
+    hg = h + g
     expected = predicted if len(before) == 1 else points.extrapolated(end, before[:1])
     value, slope = np.abs(new - expected)
     low: Floats = np.maximum(
-        value * (h**2 / (16.0 * (h + g) ** 2)), slope * (h**3 / (32.0 * (h + g) * (h + h + g)))
+        value * (h * h / (16.0 * (hg * hg))), slope * (h * h * h / (32.0 * hg * (h + h + g)))
     )
     if not high or len(before) < 2:
         return low, None
@@ -116,8 +117,9 @@ def estimated_error(
     # the start and points g and k before misses the end by f^(6)/720 h^2 (h + g)^2 (h + k)^2.
     k = points.distance(before[1])
     value, slope = np.abs(new - predicted)
-    share = (h * (h / 2.0 + g)) ** 2 / (16.0 * ((h + g) * (h + k)) ** 2)
-    per_slope = 2.0 * (1.0 / h + 1.0 / (h + g) + 1.0 / (h + k))
+    top, bottom = h * (h / 2.0 + g), hg * (h + k)
+    share = top * top / (16.0 * (bottom * bottom))
+    per_slope = 2.0 * (1.0 / h + 1.0 / hg + 1.0 / (h + k))
     quintic = np.maximum(value * share, slope * (share / per_slope))
     return low, np.maximum(quintic, RESIDUE * low)
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.coupling.polynomial import differentiation, interpolation
+from congelation.cosim.coupling.polynomial import differentiation, interpolation, product
 from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 
 __all__ = ["LinkReader", "Points"]
@@ -78,8 +78,7 @@ class Points(NamedTuple):
         now = self.times[-1]
         nodes = [self.times[-1 - k] - now for k in places]
         data = self.table[:, [KEPT - 1 - k for k in places]]
-        found: Floats = interpolation(nodes, end - now).dot(data.reshape(2 * len(nodes), -1))
-        return found
+        return product(interpolation(nodes, end - now), data.reshape(2 * len(nodes), -1))
 
     def predicted(self, time: float, links: Indices) -> Floats:
         """Value and derivative, shape (2, n), at `time` of the polynomials through the values of n

@@ -1,0 +1,415 @@
+"""The compiled stepping loop (loop.c), called through ctypes.
+
+It makes the plain steps of `jacobi`, `gauss_seidel` and `hermite`, for any FMUs. Everything that is
+not plain is left to the loops in Python, which are the reference: they make the step that the
+compiled loop ended at, and so find the status and the message of a run that fails.
+
+The shared library is built when the package is installed. Where there is none, because there was no
+compiler, runs are the same, and slower.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import sysconfig
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.cosim.coupling.hermite import HermiteState, Plan
+from congelation.cosim.coupling.points import KEPT, Points
+from congelation.cosim.ensemble import Ensemble, Transfer
+from congelation.cosim.recording import EveryStep, Rows
+from congelation.cosim.step_control import StepSize
+
+__all__ = [
+    "CHUNK",
+    "NOT_FINITE",
+    "REFUSED",
+    "UNUSUAL",
+    "CompiledHeld",
+    "CompiledHermite",
+    "Loop",
+    "fits",
+    "library",
+]
+
+Floats = npt.NDArray[np.float64]
+
+CHUNK = 1024
+"""Steps per call: progress is reported, and Ctrl-C is heard, between two calls."""
+
+KEPT_POINTS = 256
+"""Communication points that are kept before rows are made of them."""
+
+DONE, FULL, REFUSED, NOT_FINITE, UNUSUAL = range(5)
+"""Why a call ended; as in loop.c."""
+
+
+class _Call(ctypes.Structure):
+    _fields_ = [
+        ("plain", ctypes.c_void_p),
+        ("ranked", ctypes.c_void_p),
+        ("references", ctypes.c_void_p),
+        ("orders", ctypes.c_void_p),
+        ("note", ctypes.c_uint64),
+        ("count", ctypes.c_size_t),
+        ("values", ctypes.c_void_p),
+        ("places", ctypes.c_void_p),
+        ("factors", ctypes.c_void_p),
+        ("offsets", ctypes.c_void_p),
+    ]
+
+
+class _Slave(ctypes.Structure):
+    _fields_ = [
+        ("component", ctypes.c_void_p),
+        ("note", ctypes.c_void_p),
+        ("step_note", ctypes.c_uint64),
+        ("get_note", ctypes.c_uint64),
+        ("free_note", ctypes.c_uint64),
+        ("set_note", ctypes.c_uint64),
+        ("step", ctypes.c_void_p),
+        ("get_state", ctypes.c_void_p),
+        ("free_state", ctypes.c_void_p),
+        ("set_state", ctypes.c_void_p),
+        ("state", ctypes.c_void_p),
+        ("reads", ctypes.POINTER(_Call)),
+        ("writes", ctypes.POINTER(_Call)),
+        ("holds", ctypes.POINTER(_Call)),
+        ("n_reads", ctypes.c_int),
+        ("n_writes", ctypes.c_int),
+        ("n_holds", ctypes.c_int),
+        ("checked", ctypes.c_void_p),
+        ("n_checked", ctypes.c_size_t),
+        ("forward", ctypes.c_void_p),
+    ]
+
+
+class Loop(ctypes.Structure):
+    """What the compiled loop works on, and what became of it; as in loop.c."""
+
+    _fields_ = [
+        ("slaves", ctypes.POINTER(_Slave)),
+        ("n_slaves", ctypes.c_int),
+        ("which", ctypes.c_int),
+        ("n_links", ctypes.c_ssize_t),
+        ("Y", ctypes.c_void_p),
+        ("C", ctypes.c_void_p),
+        ("source", ctypes.c_void_p),
+        ("source_derivative", ctypes.c_void_p),
+        ("columns", ctypes.c_void_p),
+        ("nominal", ctypes.c_void_p),
+        ("rows", ctypes.c_void_p),
+        ("recorded", ctypes.c_void_p),
+        ("width", ctypes.c_ssize_t),
+        ("capacity", ctypes.c_ssize_t),
+        ("n_rows", ctypes.c_ssize_t),
+        ("every", ctypes.c_long),
+        ("left", ctypes.c_long),
+        ("steps", ctypes.c_long),
+        ("rejected", ctypes.c_long),
+        ("passes", ctypes.c_long),
+        ("state_calls", ctypes.c_long),
+        ("largest_error", ctypes.c_double),
+        ("status", ctypes.c_int),
+        ("function", ctypes.c_char_p),
+        ("time", ctypes.c_double),
+    ]
+
+
+class _Hermite(ctypes.Structure):
+    _fields_ = [
+        ("highest", ctypes.c_int),
+        ("chooses", ctypes.c_int),
+        ("accelerates", ctypes.c_int),
+        ("max_iterations", ctypes.c_int),
+        ("tolerance", ctypes.c_double),
+        ("accuracy", ctypes.c_double),
+        ("n_back", ctypes.c_ssize_t),
+        ("back", ctypes.c_void_p),
+        ("work", ctypes.c_void_p),
+    ]
+
+
+class _Memory(ctypes.Structure):
+    _fields_ = [
+        ("times", ctypes.c_double * KEPT),
+        ("n_times", ctypes.c_int),
+        ("order", ctypes.c_int),
+        ("table", ctypes.c_void_p),
+        ("J", ctypes.c_void_p),
+        ("length", ctypes.c_double),
+        ("step", ctypes.c_double),
+        ("error_before", ctypes.c_double),
+        ("rejected", ctypes.c_int),
+    ]
+
+
+@cache
+def library() -> ctypes.CDLL | None:
+    """The compiled loop; None where it was not built."""
+    file = Path(__file__).with_name("loop" + str(sysconfig.get_config_var("EXT_SUFFIX")))
+    try:
+        found = ctypes.CDLL(str(file))
+    except OSError:
+        return None
+    found.work_size.restype = ctypes.c_size_t
+    found.work_size.argtypes = [ctypes.c_size_t, ctypes.c_size_t]
+    return found
+
+
+def fits(ensemble: Ensemble, rows: Sequence[Rows]) -> bool:
+    """Whether a run is one that the compiled loop makes: its connections and what is recorded are
+    Real, and nothing but the steps changes them."""
+    return (
+        library() is not None
+        and not ensemble.system.discrete_links
+        and all(each.columns.follows for each in rows)
+    )
+
+
+class _Compiled:
+    """An ensemble, as the compiled loop sees it.
+
+    Parameters
+    ----------
+    ensemble : Ensemble
+    rows : sequence of Rows
+        What is recorded. Where that is one row of values for every n-th communication point, the
+        compiled loop writes it; else it keeps all that is read at each point, and the rows are made
+        of that afterwards.
+    """
+
+    def __init__(self, ensemble: Ensemble, rows: Sequence[Rows]) -> None:
+        found = library()
+        if found is None:
+            raise ValueError("there is no compiled loop; see fits")
+        self.library = found
+        self.ensemble = ensemble
+        self._rows = rows
+        self._direct: EveryStep | None = None
+        if len(rows) == 1 and isinstance(rows[0], EveryStep) and rows[0].columns.places is not None:
+            self._direct = rows[0]
+            recorded, every = rows[0].columns.places, rows[0].every
+        else:
+            recorded, every = np.arange(len(ensemble.Y)), 1
+        self._points = np.empty((0 if self._direct else KEPT_POINTS, 1 + len(recorded)))
+        self._kept: list[object] = []  # what the structures point to
+        links = len(ensemble.links)
+        starts = [columns.start for columns in ensemble.columns]
+        self.loop = Loop(
+            slaves=(_Slave * len(ensemble.slaves))(
+                *(self._slave(m) for m in range(len(ensemble.slaves)))
+            ),
+            n_slaves=len(ensemble.slaves),
+            n_links=links,
+            Y=self._address(ensemble.Y),
+            C=self._address(ensemble.C),
+            source=self._address(ensemble.source),
+            source_derivative=self._address(ensemble.source_derivative),
+            columns=self._address(np.array([*starts, links], np.intp)),
+            nominal=self._address(ensemble.nominal),
+            recorded=self._address(recorded.astype(np.intp)),
+            width=len(recorded),
+            every=every,
+        )
+
+    def _address(self, array: Any) -> int:
+        """Where an array is, which is kept."""
+        self._kept.append(array)
+        return int(array.ctypes.data)
+
+    def _slave(self, m: int) -> _Slave:
+        ensemble, slave = self.ensemble, self.ensemble.slaves[m]
+        reads, writes, holds = ensemble.reads[m], ensemble.writes[m], ensemble.holds[m]
+        return _Slave(
+            component=slave.component,
+            note=slave.note("fmi2DoStep")[0],
+            step_note=slave.note("fmi2DoStep")[1],
+            get_note=slave.note("fmi2GetFMUstate")[1],
+            free_note=slave.note("fmi2FreeFMUstate")[1],
+            set_note=slave.note("fmi2SetFMUstate")[1],
+            step=slave.address("fmi2DoStep"),
+            get_state=slave.address("fmi2GetFMUstate"),
+            free_state=slave.address("fmi2FreeFMUstate"),
+            set_state=slave.address("fmi2SetFMUstate"),
+            reads=self._calls(m, reads),
+            writes=self._calls(m, writes),
+            holds=self._calls(m, holds),
+            n_reads=len(reads),
+            n_writes=len(writes),
+            n_holds=len(holds),
+            checked=self._address(ensemble.checked[m]),
+            n_checked=len(ensemble.checked[m]),
+        )
+
+    def _calls(self, m: int, transfers: Sequence[Transfer]) -> Any:
+        calls = (_Call * len(transfers))()
+        for call, transfer in zip(calls, transfers, strict=True):
+            function = self.ensemble.slaves[m].address(transfer.function)
+            if transfer.orders:
+                call.ranked = function
+                call.orders = self._address(np.array(transfer.orders, np.intc))
+            else:
+                call.plain = function
+            call.note = self.ensemble.slaves[m].note(transfer.function)[1]
+            call.references = self._address(np.array(transfer.references, np.uintc))
+            call.count = len(transfer.references)
+            call.values = self._address(transfer.values)
+            if transfer.slots:
+                count = len(self.ensemble.links)
+                places = [order * count + k for order, k in transfer.slots]
+                call.places = self._address(np.array(places, np.intp))
+                units = self.ensemble.converted(transfer.slots)
+                if units is not None:
+                    call.factors, call.offsets = map(self._address, units)
+        return calls
+
+    def called(self, function: Callable[..., int], *arguments: object) -> int:
+        """Call one of the two functions that step, with rows to fill, and keep what it recorded."""
+        loop, direct = self.loop, self._direct
+        room = self._points if direct is None else direct.recorder.room
+        loop.rows, loop.capacity, loop.n_rows = room.ctypes.data, len(room), 0
+        loop.left = 0 if direct is None else direct.left
+        loop.steps = loop.rejected = loop.passes = loop.state_calls = 0
+        self._refusals = [slave.log.refusals for slave in self.ensemble.slaves]
+        code = function(ctypes.byref(loop), *arguments)
+        if direct is not None:
+            direct.recorder.filled(loop.n_rows)
+            direct.left = loop.left
+        elif loop.n_rows:
+            Y = self.ensemble.Y
+            now = Y.copy()
+            for point in room[: loop.n_rows]:
+                Y[:] = point[1:]
+                for rows in self._rows:
+                    rows.point(float(point[0]))
+            Y[:] = now
+        return code
+
+    def refuse(self) -> None:
+        """Raise what the call meant that an FMU refused last: code REFUSED."""
+        loop = self.loop
+        slave = self.ensemble.slaves[loop.which]
+        slave.time = loop.time
+        slave.refused(loop.function.decode(), loop.status, self._refusals[loop.which])
+
+
+class CompiledHeld(_Compiled):
+    """`jacobi`, and with `sequential` `gauss_seidel`, compiled."""
+
+    def __init__(self, ensemble: Ensemble, rows: Sequence[Rows], *, sequential: bool) -> None:
+        super().__init__(ensemble, rows)
+        self._sequential = sequential
+
+    def run(self, time: float, ends: Floats) -> tuple[int, int]:
+        """Step from `time` to each of the points `ends`.
+
+        Returns
+        -------
+        code : int
+            DONE, FULL, or NOT_FINITE or REFUSED in the step that was the last one.
+        made : int
+            Steps that were made and recorded.
+        """
+        ends = np.ascontiguousarray(ends)
+        before = self.ensemble.Y[self.ensemble.source]
+        code = self.called(
+            self.library.run_held,
+            ctypes.c_int(self._sequential),
+            ctypes.c_double(time),
+            ctypes.c_void_p(ends.ctypes.data),
+            ctypes.c_long(len(ends)),
+            ctypes.c_void_p(before.ctypes.data),
+        )
+        return code, self.loop.steps
+
+
+class CompiledHermite(_Compiled):
+    """`hermite` with steps chosen by a tolerance, compiled.
+
+    Parameters
+    ----------
+    ensemble, rows
+        As of `_Compiled`.
+    plan : Plan
+    tolerance, horizon : float
+        Of the run; `horizon` is its length in seconds.
+    """
+
+    def __init__(
+        self, ensemble: Ensemble, rows: Sequence[Rows], plan: Plan, tolerance: float, horizon: float
+    ) -> None:
+        super().__init__(ensemble, rows)
+        links, unknowns = len(ensemble.links), 2 * len(plan.back)
+        self._horizon = horizon
+        self._table = np.zeros((2, KEPT, links))
+        self._J = np.zeros((unknowns, unknowns))
+        forward = plan.forward.astype(np.uint8)
+        for m in range(len(ensemble.slaves)):
+            self.loop.slaves[m].forward = self._address(forward[m])
+        self._hermite = _Hermite(
+            plan.highest,
+            plan.chooses,
+            plan.accelerates,
+            plan.max_iterations,
+            tolerance,
+            plan.accuracy,
+            len(plan.back),
+            self._address(plan.back),
+            self._address(np.zeros(self.library.work_size(links, unknowns))),
+        )
+        self._memory = _Memory(table=self._address(self._table), J=self._address(self._J))
+        self._has_saved = False
+
+    def run(
+        self,
+        state: HermiteState,
+        size: StepSize,
+        time: float,
+        target: float,
+        *,
+        most: int,
+        records_target: bool,
+    ) -> tuple[int, HermiteState, StepSize, float]:
+        """Step from `time` towards `target`, at most `most` steps, those taken back included.
+
+        Returns
+        -------
+        code : int
+            DONE at the target; FULL; REFUSED; UNUSUAL where the step that is next is for Python.
+        state : HermiteState
+        size : StepSize
+        time : float
+        """
+        memory, ensemble = self._memory, self.ensemble
+        for m, state_of in enumerate(ensemble.state_handles()):
+            self.loop.slaves[m].state = ctypes.addressof(state_of)
+        memory.times[: len(state.points.times)] = state.points.times
+        memory.n_times = len(state.points.times)
+        self._table[:] = state.points.table
+        self._J[:] = state.J
+        memory.order, memory.length = state.order, state.length
+        memory.step, memory.error_before = size.length, size.error_before
+        memory.rejected = size.rejected
+        now = ctypes.c_double(time)
+        code = self.called(
+            self.library.run_hermite,
+            ctypes.byref(self._hermite),
+            ctypes.byref(memory),
+            ctypes.byref(now),
+            ctypes.c_double(target),
+            ctypes.c_double(self._horizon),
+            ctypes.c_long(most),
+            ctypes.c_int(records_target),
+        )
+        ensemble.calls += self.loop.state_calls
+        points = Points(tuple(memory.times[: memory.n_times]), self._table.copy())
+        after = HermiteState(points, memory.order, self._J.copy(), memory.length)
+        step = StepSize(memory.step, memory.error_before, bool(memory.rejected))
+        return code, after, step, now.value

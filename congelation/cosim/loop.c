@@ -1,0 +1,600 @@
+/* The stepping loop, compiled: what stepping.py, held.py and hermite.py do in each communication step.
+
+   It takes the plain steps of a run, and nothing else. Where anything else happens (an FMU that does
+   not return fmi2OK, a value that is not finite, iterations that do not converge, a full block of
+   rows), it returns, and Python goes on from there: it has the messages, the jumps of theta and the
+   ends of runs. The arrays are those of the Python loop, and the arithmetic is in its order.
+
+   Symbols as in ensemble.py: Y is all that is read; C, of shape (4, L), the polynomials of the inputs,
+   u(t + s) = C[0] + C[1] s + C[2] s^2/2 + C[3] s^3/6. */
+
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#include <string.h>
+
+#if defined(_WIN32)
+#define EXPORT __declspec(dllexport)
+#else
+#define EXPORT __attribute__((visibility("default")))
+#endif
+
+enum { WARNING = 1 };                                 /* of fmi2Status */
+enum { DONE, FULL, REFUSED, NOT_FINITE, UNUSUAL };    /* why a run of steps ended */
+
+typedef int (*StepFunction)(void *, double, double, int);
+typedef int (*RealFunction)(void *, const unsigned *, size_t, double *);
+typedef int (*RankedFunction)(void *, const unsigned *, size_t, const int *, double *);
+typedef int (*GetStateFunction)(void *, void **);
+typedef int (*SetStateFunction)(void *, void *);
+
+/* One call of fmi2GetReal, fmi2SetReal or their relatives for derivatives. */
+typedef struct {
+    RealFunction plain;       /* NULL: `ranked` is meant */
+    RankedFunction ranked;
+    const unsigned *references;
+    const int *orders;        /* of `ranked` */
+    uint64_t note;            /* what stands for the call; see fmi/calls.py */
+    size_t count;
+    double *values;           /* read: in Y; sent: a buffer of the call, or C itself */
+    const ptrdiff_t *places;  /* sent: where the values stand in C; NULL: `values` is in C */
+    const double *factors, *offsets;  /* of the units; NULL where none is converted */
+} Call;
+
+typedef struct {
+    void *component;
+    volatile uint64_t *note;  /* where a call is noted before it is made, in case it never returns */
+    uint64_t step_note, get_note, free_note, set_note;
+    StepFunction step;
+    GetStateFunction get_state, free_state;
+    SetStateFunction set_state;
+    void **state;             /* saved at the start of the step */
+    const Call *reads, *writes, *holds;
+    int n_reads, n_writes, n_holds;
+    const double *checked;    /* the part of Y in which every value has to be finite */
+    size_t n_checked;
+    const unsigned char *forward;  /* the links whose source steps before their target, and is this */
+} Slave;
+
+typedef struct {
+    const Slave *slaves;
+    int n_slaves, which;      /* `which`: the slave that ended a run of steps */
+    ptrdiff_t n_links;
+    double *Y, *C;
+    const ptrdiff_t *source, *source_derivative, *columns;  /* `columns`: first link of each slave */
+    const double *nominal;
+    /* rows */
+    double *rows;             /* (capacity, 1 + width) */
+    const ptrdiff_t *recorded;
+    ptrdiff_t width, capacity, n_rows;
+    long every, left;
+    /* what became of it */
+    long steps, rejected, passes, state_calls;
+    double largest_error;
+    int status;               /* of the call that ended a run of steps */
+    const char *function;     /* that call */
+    double time;              /* at the beginning of its step */
+} Loop;
+
+static int refused(Loop *loop, int status, const char *function) {
+    loop->status = status;
+    loop->function = function;
+    return REFUSED;
+}
+
+static int call_reads(Loop *loop, const Slave *slave) {
+    for (int k = 0; k < slave->n_reads; k++) {
+        const Call *call = &slave->reads[k];
+        *slave->note = call->note;
+        int status = call->plain
+            ? call->plain(slave->component, call->references, call->count, call->values)
+            : call->ranked(slave->component, call->references, call->count, call->orders, call->values);
+        if (status > WARNING)
+            return refused(loop, status, call->plain ? "fmi2GetReal" : "fmi2GetRealOutputDerivatives");
+    }
+    return DONE;
+}
+
+static int call_writes(Loop *loop, const Slave *slave, const Call *calls, int count) {
+    for (int k = 0; k < count; k++) {
+        const Call *call = &calls[k];
+        if (call->places) {
+            for (size_t i = 0; i < call->count; i++) call->values[i] = loop->C[call->places[i]];
+            if (call->factors)
+                for (size_t i = 0; i < call->count; i++)
+                    call->values[i] = call->values[i] * call->factors[i] + call->offsets[i];
+        }
+        *slave->note = call->note;
+        int status = call->plain
+            ? call->plain(slave->component, call->references, call->count, call->values)
+            : call->ranked(slave->component, call->references, call->count, call->orders, call->values);
+        if (status > WARNING)
+            return refused(loop, status, call->plain ? "fmi2SetReal" : "fmi2SetRealInputDerivatives");
+    }
+    return DONE;
+}
+
+static int is_finite(const Loop *loop) {
+    const double limit = 1e200;  /* the square of LARGEST_VALUE of ensemble.py */
+    for (int m = 0; m < loop->n_slaves; m++) {
+        const Slave *slave = &loop->slaves[m];
+        double sum = 0.0;
+        for (size_t i = 0; i < slave->n_checked; i++) sum += slave->checked[i] * slave->checked[i];
+        if (!(sum < limit)) return 0;
+    }
+    return 1;
+}
+
+/* Every n-th communication point, as EveryStep of recording.py. */
+static void record(Loop *loop, double time) {
+    if (loop->left) { loop->left--; return; }
+    loop->left = loop->every - 1;
+    double *row = loop->rows + loop->n_rows++ * (1 + loop->width);
+    row[0] = time;
+    for (ptrdiff_t k = 0; k < loop->width; k++) row[1 + k] = loop->Y[loop->recorded[k]];
+}
+
+/* -- held inputs: Jacobi, Gauss-Seidel ------------------------------------------------------------ */
+
+/* From `start` to each of `count` points. `sequential`: each slave steps with the newest values there
+   are. `before`, (L,), are the values of the links at the beginning; afterwards those at the end. */
+EXPORT int run_held(Loop *loop, int sequential, double start, const double *points, long count,
+                    double *before) {
+    const ptrdiff_t L = loop->n_links;
+    int code = DONE;
+    double time = start;
+    for (long k = 0; k < count; k++) {
+        if (loop->n_rows == loop->capacity) return FULL;
+        const double end = points[k];
+        loop->time = time;
+        if (!sequential)
+            for (ptrdiff_t i = 0; i < L; i++) loop->C[i] = loop->Y[loop->source[i]];
+        for (int m = 0; m < loop->n_slaves && !sequential; m++) {
+            const Slave *slave = &loop->slaves[m];
+            loop->which = m;
+            if ((code = call_writes(loop, slave, slave->holds, slave->n_holds))) goto ended;
+        }
+        for (int m = 0; m < loop->n_slaves; m++) {
+            const Slave *slave = &loop->slaves[m];
+            loop->which = m;
+            if (sequential) {
+                for (ptrdiff_t i = loop->columns[m]; i < loop->columns[m + 1]; i++)
+                    loop->C[i] = loop->Y[loop->source[i]];
+                if ((code = call_writes(loop, slave, slave->holds, slave->n_holds))) goto ended;
+            }
+            *slave->note = slave->step_note;
+            const int status = slave->step(slave->component, time, end - time, 1);
+            if (status > WARNING) { code = refused(loop, status, "fmi2DoStep"); goto ended; }
+            if (sequential && (code = call_reads(loop, slave))) goto ended;
+        }
+        for (int m = 0; m < loop->n_slaves && !sequential; m++) {
+            loop->which = m;
+            if ((code = call_reads(loop, &loop->slaves[m]))) goto ended;
+        }
+        loop->passes++;
+        for (ptrdiff_t i = 0; i < L; i++) {
+            const double value = loop->Y[loop->source[i]];
+            const double error = fabs(value - before[i]) / (loop->nominal[i] + fabs(value));
+            if (error > loop->largest_error) loop->largest_error = error;
+            before[i] = value;
+        }
+        if (!is_finite(loop)) { code = NOT_FINITE; goto ended; }
+        record(loop, end);
+        loop->steps++;
+        time = end;
+    }
+ended:
+    return code;
+}
+
+/* -- hermite: polynomials through both ends, found by repeating the step --------------------------- */
+
+enum { LOW = 4, HIGH = 6, KEPT = 3 };
+
+static const double LONGEST_EXTRAPOLATION = 20.0;  /* points.py */
+static const double RESIDUE = 16.0 / 3150.0;       /* interpolant.py */
+static const double SAFETY = 0.9, LARGEST_CHANGE = 4.0, SMALLEST_CHANGE = 0.2;  /* step_control.py */
+static const double PROPORTIONAL = 0.4, INTEGRAL = 0.7, SMALLEST_ERROR = 1e-4;
+static const double STRETCH = 1.1, SMALLEST_STEP = 16.0, SMALLEST_SHARE = 1e-15;  /* stepping.py */
+
+/* HermiteState and StepSize: what a run takes from one step to the next. */
+typedef struct {
+    double times[KEPT];       /* the newest last */
+    int n_times, order;
+    double *table;            /* (2, KEPT, L): values and derivatives at these points, the newest last */
+    double *J;                /* (n, n) */
+    double length;            /* for which J holds; 0: there is none yet */
+    double step, error_before;
+    int rejected;
+} Memory;
+
+/* What follows from the coupling and the system once and for all. */
+typedef struct {
+    int highest, chooses, accelerates, max_iterations;
+    double tolerance, accuracy;
+    ptrdiff_t n_back;         /* links that are fed back: n = 2 n_back unknowns */
+    const ptrdiff_t *back;
+    double *work;             /* of work_size(L, n) numbers */
+} Hermite;
+
+EXPORT size_t work_size(size_t L, size_t n) { return 14 * L + 6 * n + 2 * n * n; }
+
+/* `interpolation` of polynomial.py: weights of value and derivative at `at`, (2, 2 n). */
+static void interpolate(const double *nodes, int n, double at, double *weights) {
+    for (int i = 0; i < n; i++) {
+        double lagrange = 1.0, slope = 0.0, own_slope = 0.0;
+        for (int j = 0; j < n; j++) {
+            if (j == i) continue;
+            const double gap = nodes[i] - nodes[j], factor = (at - nodes[j]) / gap;
+            slope = slope * factor + lagrange / gap;
+            lagrange *= factor;
+            own_slope += 1.0 / gap;
+        }
+        const double square = lagrange * lagrange, square_slope = 2.0 * lagrange * slope;
+        const double tilt = 1.0 - 2.0 * own_slope * (at - nodes[i]);
+        weights[i] = tilt * square;
+        weights[2 * n + i] = tilt * square_slope - 2.0 * own_slope * square;
+        weights[n + i] = (at - nodes[i]) * square;
+        weights[3 * n + i] = (at - nodes[i]) * square_slope + square;
+    }
+}
+
+/* `hermite` of polynomial.py, (4, 4) in rows of `width`. */
+static void cubic(double h, double *M, int width) {
+    const double a = 1.0 / h, b = 6.0 / (h * h), c = 2.0 * a * b;
+    const double entries[4][4] = {{1.0, 0.0, 0.0, 0.0}, {0.0, 1.0, 0.0, 0.0},
+                                  {-b, -4.0 * a, b, -2.0 * a}, {c, b, -c, b}};
+    for (int i = 0; i < 4; i++)
+        for (int j = 0; j < width; j++) M[i * width + j] = j < 4 ? entries[i][j] : 0.0;
+}
+
+/* `matched` of polynomial.py, (4, 6). */
+static void matched(double h, double g, double *M) {
+    const double r = g / h, q = 1.0 + r;
+    const double missed[2][6] = {
+        {(2.0 * r - 1.0) * q * q, h * r * q * q, -r * r * (3.0 + 2.0 * r), h * r * r * q, 1.0, 0.0},
+        {-6.0 * r * q, -h * q * (1.0 + 3.0 * r), 6.0 * r * q, -h * r * (2.0 + 3.0 * r), 0.0, h}};
+    const double w = (r * q) * (r * q), slope = -2.0 * r * q * (1.0 + 2.0 * r);
+    cubic(h, M, 6);
+    for (int j = 0; j < 6; j++) {
+        const double beta = (missed[1][j] - slope / w * missed[0][j]) / w;
+        const double alpha = missed[0][j] / w + r * beta;
+        const double A = -alpha / 15.0 - beta * (2.0 / 35.0);
+        const double B = alpha * (2.0 / 3.0) + beta * (3.0 / 7.0);
+        M[j] += A;
+        M[6 + j] += (B - 2.0 * A) / h;
+        M[12 + j] += 2.0 * (A - 2.0 * B) / (h * h);
+        M[18 + j] += 6.0 * B / (h * h * h);
+    }
+}
+
+/* Values and derivatives at `end` by the polynomials through the newest point and `n` before it. */
+static void extrapolate(const Memory *memory, ptrdiff_t L, double end, const int *back, int n,
+                        double *found) {
+    const double now = memory->times[memory->n_times - 1];
+    double nodes[KEPT], weights[4 * KEPT];
+    nodes[0] = 0.0;
+    for (int i = 0; i < n; i++) nodes[1 + i] = memory->times[memory->n_times - 1 - back[i]] - now;
+    interpolate(nodes, n + 1, end - now, weights);
+    for (int row = 0; row < 2; row++)
+        for (ptrdiff_t k = 0; k < L; k++) {
+            double sum = 0.0;
+            for (int kind = 0; kind < 2; kind++)
+                for (int i = 0; i <= n; i++) {
+                    const int place = KEPT - 1 - (i ? back[i - 1] : 0);
+                    sum += weights[row * 2 * (n + 1) + kind * (n + 1) + i]
+                         * memory->table[(kind * KEPT + place) * L + k];
+                }
+            found[row * L + k] = sum;
+        }
+}
+
+/* (I - J)^-1 r by elimination with pivots; r itself where that is singular. */
+static void quasi_newton(const double *J, const double *r, ptrdiff_t n, double *A, double *x) {
+    for (ptrdiff_t i = 0; i < n; i++) {
+        x[i] = r[i];
+        for (ptrdiff_t j = 0; j < n; j++) A[i * n + j] = (i == j ? 1.0 : 0.0) - J[i * n + j];
+    }
+    for (ptrdiff_t c = 0; c < n; c++) {
+        ptrdiff_t pivot = c;
+        for (ptrdiff_t i = c + 1; i < n; i++)
+            if (fabs(A[i * n + c]) > fabs(A[pivot * n + c])) pivot = i;
+        if (A[pivot * n + c] == 0.0) { memcpy(x, r, (size_t)n * sizeof *x); return; }
+        if (pivot != c) {
+            for (ptrdiff_t j = 0; j < n; j++) {
+                const double kept = A[c * n + j];
+                A[c * n + j] = A[pivot * n + j];
+                A[pivot * n + j] = kept;
+            }
+            const double kept = x[c];
+            x[c] = x[pivot];
+            x[pivot] = kept;
+        }
+        for (ptrdiff_t i = c + 1; i < n; i++) {
+            const double factor = A[i * n + c] / A[c * n + c];
+            for (ptrdiff_t j = c; j < n; j++) A[i * n + j] -= factor * A[c * n + j];
+            x[i] -= factor * x[c];
+        }
+    }
+    for (ptrdiff_t i = n - 1; i >= 0; i--) {
+        for (ptrdiff_t j = i + 1; j < n; j++) x[i] -= A[i * n + j] * x[j];
+        x[i] /= A[i * n + i];
+    }
+}
+
+static int save(Loop *loop) {
+    for (int m = 0; m < loop->n_slaves; m++) {
+        const Slave *slave = &loop->slaves[m];
+        loop->which = m;
+        if (*slave->state) {
+            *slave->note = slave->free_note;
+            slave->free_state(slave->component, slave->state);
+            loop->state_calls++;
+        }
+        *slave->state = NULL;
+        loop->state_calls++;
+        *slave->note = slave->get_note;
+        const int status = slave->get_state(slave->component, slave->state);
+        if (status > WARNING) return refused(loop, status, "fmi2GetFMUstate");
+    }
+    return DONE;
+}
+
+static int restore(Loop *loop) {
+    for (int m = 0; m < loop->n_slaves; m++) {
+        const Slave *slave = &loop->slaves[m];
+        loop->which = m;
+        loop->state_calls++;
+        *slave->note = slave->set_note;
+        const int status = slave->set_state(slave->component, *slave->state);
+        if (status > WARNING) return refused(loop, status, "fmi2SetFMUstate");
+    }
+    return DONE;
+}
+
+/* The largest of `distance` relative to nominal value plus size. */
+static double relative(const Loop *loop, const double *distance, const double *values) {
+    double largest = 0.0;
+    for (ptrdiff_t k = 0; k < loop->n_links; k++) {
+        const double error = distance[k] / (loop->nominal[k] + fabs(values[k]));
+        if (!(error <= largest)) largest = error;
+    }
+    return largest;
+}
+
+/* What a trial of a step leaves besides the FMUs' states. */
+typedef struct {
+    double error, length;
+    int order, next_order;
+} Trial;
+
+/* `attempt` of hermite.py: iterate until the ends that are fed back settle. The values and derivatives
+   at the end are left in work + 10 L, and the Jacobian in `J`, which is the trial's own. */
+static int attempt(Loop *loop, const Hermite *hermite, const Memory *memory, double time, double end,
+                   double *J, Trial *trial) {
+    const ptrdiff_t L = loop->n_links, n = 2 * hermite->n_back;
+    double *predicted = hermite->work, *expected = predicted + 2 * L, *data = expected + 2 * L;
+    double *new = data + 6 * L, *distance = new + 2 * L;
+    double *z = distance + 2 * L, *r = z + n, *z_before = r + n, *r_before = z_before + n;
+    double *scales = r_before + n, *change_of = scales + n, *A = change_of + n;
+    const double h = end - time;
+    double M[24];
+
+    trial->error = INFINITY;
+    trial->order = LOW;
+    trial->next_order = hermite->highest;
+    trial->length = h;
+
+    /* opened(): extrapolated ends, and the matrix from the data to C */
+    int back[KEPT], n_before = 0;
+    for (int k = 1; k < memory->n_times; k++)
+        if (time - memory->times[memory->n_times - 1 - k] >= h / LONGEST_EXTRAPOLATION)
+            back[n_before++] = k;
+    extrapolate(memory, L, end, back, n_before, predicted);
+    const int is_high = n_before > 0 && memory->order == HIGH;
+    const int width = is_high ? 6 : 4;
+    for (int row = 0; row < 2; row++)
+        for (ptrdiff_t k = 0; k < L; k++) {
+            data[row * L + k] = memory->table[(row * KEPT + KEPT - 1) * L + k];
+            data[(2 + row) * L + k] = predicted[row * L + k];
+            if (is_high) data[(4 + row) * L + k] = memory->table[(row * KEPT + KEPT - 1 - back[0]) * L + k];
+        }
+    const double g = n_before ? time - memory->times[memory->n_times - 1 - back[0]] : 0.0;
+    if (is_high) matched(h, g, M); else cubic(h, M, 4);
+
+    for (ptrdiff_t i = 0; i < hermite->n_back; i++) {
+        scales[i] = fabs(data[hermite->back[i]]) + loop->nominal[hermite->back[i]];
+        scales[hermite->n_back + i] = scales[i] / h;
+    }
+    /* What an input's end does to an output grows with the step, to first order. */
+    const double grown = memory->length > 0.0 ? h / memory->length : 1.0;
+    for (ptrdiff_t i = 0; i < n * n; i++) J[i] = memory->J[i] * grown;
+
+    int settled = 0;
+    for (int count = 1; count <= hermite->max_iterations && !settled; count++) {
+        if (count > 1 && restore(loop)) return UNUSUAL;
+        for (int m = 0; m < loop->n_slaves; m++) {
+            const Slave *slave = &loop->slaves[m];
+            loop->which = m;
+            for (ptrdiff_t k = loop->columns[m]; k < loop->columns[m + 1]; k++)
+                for (int row = 0; row < 4; row++) {
+                    double sum = 0.0;
+                    for (int j = 0; j < width; j++) sum += M[row * width + j] * data[j * L + k];
+                    loop->C[row * L + k] = sum;
+                }
+            if (call_writes(loop, slave, slave->writes, slave->n_writes)) return UNUSUAL;
+            *slave->note = slave->step_note;
+            if (slave->step(slave->component, time, h, 1) > WARNING) return UNUSUAL;
+            if (call_reads(loop, slave)) return UNUSUAL;
+            for (ptrdiff_t k = 0; k < L; k++) {
+                new[k] = loop->Y[loop->source[k]];
+                new[L + k] = loop->Y[loop->source_derivative[k]];
+                if (slave->forward[k]) {
+                    data[2 * L + k] = new[k];
+                    data[3 * L + k] = new[L + k];
+                }
+            }
+        }
+        loop->passes++;
+        double sum = 0.0;
+        for (ptrdiff_t i = 0; i < n; i++) {
+            const ptrdiff_t k = hermite->back[i % hermite->n_back], row = i / hermite->n_back;
+            z[i] = data[(2 + row) * L + k] / scales[i];
+            r[i] = (new[row * L + k] - data[(2 + row) * L + k]) / scales[i];
+            sum += r[i] * r[i];
+        }
+        const double change = sqrt(sum);
+        if (!isfinite(change)) return UNUSUAL;
+        if (hermite->accelerates && n && count > 1) {
+            /* Broyden's update: G moved by dz + dr while z moved by dz */
+            double square = 0.0;
+            for (ptrdiff_t i = 0; i < n; i++) square += (z[i] - z_before[i]) * (z[i] - z_before[i]);
+            if (square != 0.0)
+                for (ptrdiff_t i = 0; i < n; i++) {
+                    double missed = 0.0;
+                    for (ptrdiff_t j = 0; j < n; j++) missed += J[i * n + j] * (z[j] - z_before[j]);
+                    change_of[i] = (z[i] - z_before[i]) + (r[i] - r_before[i]) - missed;
+                }
+            if (square != 0.0)
+                for (ptrdiff_t i = 0; i < n; i++)
+                    for (ptrdiff_t j = 0; j < n; j++)
+                        J[i * n + j] += change_of[i] * ((z[j] - z_before[j]) / square);
+        }
+        memcpy(z_before, z, (size_t)n * sizeof *z);
+        memcpy(r_before, r, (size_t)n * sizeof *r);
+        settled = change <= hermite->accuracy;
+        if (settled) break;
+        const int quasi = hermite->accelerates && n;
+        if (quasi) quasi_newton(J, r, n, A, change_of);
+        for (ptrdiff_t i = 0; i < n; i++) {
+            const ptrdiff_t k = hermite->back[i % hermite->n_back], row = i / hermite->n_back;
+            data[(2 + row) * L + k] = quasi ? (z[i] + change_of[i]) * scales[i] : new[row * L + k];
+        }
+    }
+    if (!settled) return DONE;  /* with an infinite error */
+    if (!L) { trial->error = 0.0; return DONE; }
+
+    /* estimated_error() */
+    if (!n_before) {
+        for (ptrdiff_t k = 0; k < L; k++) {
+            const double third = 2.0 * (data[k] - new[k]) + h * (data[L + k] + new[L + k]);
+            distance[k] = fabs(third) * (4.0 / 27.0);
+        }
+        trial->error = relative(loop, distance, new);
+        return DONE;
+    }
+    if (n_before == 1) memcpy(expected, predicted, 2 * (size_t)L * sizeof *expected);
+    else extrapolate(memory, L, end, back, 1, expected);
+    const double hg = h + g;
+    for (ptrdiff_t k = 0; k < L; k++) {
+        const double value = fabs(new[k] - expected[k]) * (h * h / (16.0 * (hg * hg)));
+        const double slope = fabs(new[L + k] - expected[L + k]) * (h * h * h / (32.0 * hg * (h + h + g)));
+        distance[k] = value > slope ? value : slope;
+    }
+    const double low = relative(loop, distance, new);
+    trial->error = low;
+    if (hermite->highest != HIGH || n_before < 2) return DONE;
+    const double kk = time - memory->times[memory->n_times - 1 - back[1]];
+    const double top = h * (h / 2.0 + g), bottom = hg * (h + kk);
+    const double share = top * top / (16.0 * (bottom * bottom));
+    const double per_slope = 2.0 * (1.0 / h + 1.0 / hg + 1.0 / (h + kk));
+    for (ptrdiff_t k = 0; k < L; k++) {
+        const double value = fabs(new[k] - predicted[k]) * share;
+        const double slope = fabs(new[L + k] - predicted[L + k]) * (share / per_slope);
+        const double quintic = value > slope ? value : slope, residue = RESIDUE * distance[k];
+        distance[L + k] = quintic > residue ? quintic : residue;
+    }
+    const double high = relative(loop, distance + L, new);
+    if (hermite->chooses) {
+        const double a = low / hermite->tolerance, b = high / hermite->tolerance;
+        trial->next_order = b == 0.0 || (a > 0.0 && LOW * log(b) < HIGH * log(a)) ? HIGH : LOW;
+    }
+    if (memory->order == HIGH) {
+        trial->error = high;
+        trial->order = HIGH;
+    }
+    return DONE;
+}
+
+static double end_of(double time, double length, double target) {
+    const double left = target - time;
+    if (left <= STRETCH * length) return target;
+    return time + (left < 2.0 * length ? left / 2.0 : length);
+}
+
+static double unit_in_the_last_place(double value) {
+    const double size = fabs(value);
+    return nextafter(size, INFINITY) - size;
+}
+
+/* Steps from *time on to `target`, chosen by the tolerance, at most `most` of them, those taken back
+   included. `records_target`: whether the target is a communication point like others, or a jump
+   follows that records it.
+   On UNUSUAL the FMUs are where the step began, and Python makes it. */
+EXPORT int run_hermite(Loop *loop, const Hermite *hermite, Memory *memory, double *time, double target,
+                       double horizon, long most, int records_target) {
+    const ptrdiff_t L = loop->n_links, n = 2 * hermite->n_back;
+    double *J = hermite->work + 14 * L + 6 * n + n * n;
+    const double *new = hermite->work + 10 * L;
+    while (*time < target) {
+        if (loop->n_rows == loop->capacity || loop->steps + loop->rejected >= most) return FULL;
+        loop->time = *time;
+        if (save(loop)) return REFUSED;
+        double end;
+        for (;;) {
+            end = end_of(*time, memory->step, target);
+            const double length = end - *time;
+            Trial trial;
+            int code = attempt(loop, hermite, memory, *time, end, J, &trial);
+            if (code == DONE && !is_finite(loop)) code = UNUSUAL;
+            const double scaled = trial.error / hermite->tolerance;
+            if (code == DONE && scaled <= 1.0) {
+                /* StepSize.accepted */
+                const double error = scaled > SMALLEST_ERROR ? scaled : SMALLEST_ERROR;
+                double change = SAFETY * pow(error, -INTEGRAL / trial.order)
+                              * pow(memory->error_before, PROPORTIONAL / trial.order);
+                const double largest = memory->rejected ? 1.0 : LARGEST_CHANGE;
+                change = change > SMALLEST_CHANGE ? change : SMALLEST_CHANGE;
+                change = change < largest ? change : largest;
+                memory->step = length * change;
+                memory->error_before = error;
+                memory->rejected = 0;
+                if (trial.error > loop->largest_error) loop->largest_error = trial.error;
+                memory->order = trial.next_order;
+                memory->length = trial.length;
+                memcpy(memory->J, J, (size_t)(n * n) * sizeof *J);
+                break;
+            }
+            if (restore(loop)) return REFUSED;
+            const double size = fabs(*time) > fabs(end) ? fabs(*time) : fabs(end);
+            const double rounding = SMALLEST_STEP * unit_in_the_last_place(size);
+            const double share = SMALLEST_SHARE * horizon;
+            if (code != DONE || length <= (rounding > share ? rounding : share)) return UNUSUAL;
+            /* StepSize.refused */
+            double change = SMALLEST_CHANGE;
+            if (isfinite(scaled)) {
+                change = SAFETY * pow(scaled, -1.0 / trial.order);
+                change = change > SMALLEST_CHANGE ? change : SMALLEST_CHANGE;
+                change = change < SAFETY ? change : SAFETY;
+            }
+            memory->step = length * change;
+            memory->rejected = 1;
+            loop->rejected++;
+        }
+        /* Points.followed */
+        if (memory->n_times == KEPT) memmove(memory->times, memory->times + 1, 2 * sizeof(double));
+        else memory->n_times++;
+        memory->times[memory->n_times - 1] = end;
+        for (int row = 0; row < 2; row++) {
+            double *points = memory->table + row * KEPT * L;
+            memmove(points, points + L, (KEPT - 1) * (size_t)L * sizeof(double));
+            memcpy(points + (KEPT - 1) * L, new + row * L, (size_t)L * sizeof(double));
+        }
+        *time = end;
+        if (end < target || records_target) {
+            record(loop, end);
+            loop->steps++;
+        }
+    }
+    return DONE;
+}

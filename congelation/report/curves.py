@@ -1,0 +1,345 @@
+"""Linked plots of trajectories: a panel for each group of recorded variables, made with Bokeh.
+
+Colour tells the variants apart, the dash pattern the elements of a vector. Beside each plot stands
+a table of its numbers, which follows the cursor.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from html import escape
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.report.page import Drawn, swatch
+from congelation.results.figures import first_scale, thin
+from congelation.results.labels import plain_unit
+from congelation.results.record import Trajectory
+from congelation.scenario.metrics import norm
+
+if TYPE_CHECKING:
+    from bokeh.plotting import figure
+
+__all__ = [
+    "DASHES",
+    "EVERY",
+    "POINTS",
+    "Curve",
+    "Panel",
+    "controls",
+    "curve_panels",
+    "draw_panels",
+    "empty_plot",
+    "panel_groups",
+    "pretty",
+]
+
+Array = npt.NDArray[np.float64]
+
+EVERY = -1
+"""In place of a variant's number: a curve that is the same in all of them."""
+
+DASHES: tuple[tuple[int, ...], ...] = ((), (8, 3), (2, 3), (10, 3, 2, 3), (5, 2), (14, 4))
+HEIGHT = 250  # pixels of a panel
+POINTS = 2000  # of a curve; a screen has no more columns
+_ERROR = re.compile(r"^error\((?P<of>.+)\)$")
+_GREEK = {
+    "alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": "ε", "eta": "η",
+    "theta": "θ", "lambda": "λ", "rho": "ρ", "omega": "ω", "xi": "ξ", "Gamma": "Γ",
+}  # fmt: skip
+# The order of the paper's figures; other variables follow as they were recorded.
+_FIRST = ("x", "y", "u", "theta", "theta_hat", "rho_hat", "z", "V")
+# The Lyapunov function and its bound are compared in one panel.
+_BOUND = re.compile(r"(?i)(^|\.)(V|V_bound|bound|V_max|bound\(V\))$")
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A variable of one run: `time` and `value` as drawn, `numbers` of all that is stored."""
+
+    label: str
+    variant: int
+    dash: tuple[int, ...]
+    unit: str
+    time: Array
+    value: Array
+    numbers: tuple[float, float, float, float] = field(default=(math.nan,) * 4)
+    """At the start, least, largest, at the end."""
+    name: str = ""
+    run: str = ""
+    """The run_id, where a page shows one run at a time."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """A plot: its heading, its curves, and how its axis begins."""
+
+    name: str
+    title: str
+    curves: tuple[Curve, ...]
+
+    @property
+    def unit(self) -> str:
+        units = {curve.unit for curve in self.curves}
+        return units.pop() if len(units) == 1 else ""
+
+
+def panel_groups(columns: Sequence[str], extra: Sequence[str] = ()) -> dict[str, tuple[str, ...]]:
+    """Panels by title, and the columns that each shows.
+
+    Elements of a vector share a panel; so do the Lyapunov function and its bound, and all
+    estimated errors. `extra` names further panels, ``|plant.x|`` for the norm of a group.
+    """
+    groups: dict[str, list[str]] = {}
+    for column in columns:
+        base = column.partition("[")[0]
+        if _ERROR.match(column):
+            title = "estimated error"
+        elif _BOUND.search(base):
+            title = "Lyapunov function V"
+        else:
+            title = base
+        groups.setdefault(title, []).append(column)
+
+    def place(title: str) -> tuple[int, int]:
+        symbol = title.rpartition(".")[2]
+        late = title in ("estimated error", "Lyapunov function V")
+        known = _FIRST.index(symbol) if symbol in _FIRST else len(_FIRST)
+        return (2 if late else 0, known)
+
+    found = {title: tuple(groups[title]) for title in sorted(groups, key=place)}
+    for panel in extra:
+        inner = panel.strip("|")
+        if panel.startswith("|") and inner in found:
+            found[panel] = found[inner]
+    return found
+
+
+def curve_panels(
+    runs: Sequence[tuple[int, Trajectory]],
+    extra: Sequence[str] = (),
+    run_ids: Sequence[str] = (),
+) -> tuple[Panel, ...]:
+    """The panels of some runs, each given with the number of its variant.
+
+    With `run_ids` the runs are to be shown one at a time, each by its own curves.
+    """
+    columns = dict.fromkeys(column for _, run in runs for column in run.columns)
+    panels = []
+    for k, (title, members) in enumerate(panel_groups(tuple(columns), extra).items()):
+        if run_ids:
+            found = [
+                replace(curve, run=run_id)
+                for run_id, run in zip(run_ids, runs, strict=True)
+                for curve in _curves([run], title, members)
+            ]
+        else:
+            found = [*_curves(runs, title, members)]
+        named = tuple(replace(curve, name=f"c{k}.{i}") for i, curve in enumerate(found))
+        if named:
+            panels.append(Panel(f"p{k}", title, named))
+    return tuple(panels)
+
+
+def _curves(
+    runs: Sequence[tuple[int, Trajectory]], title: str, members: Sequence[str]
+) -> Iterator[Curve]:
+    if title.startswith("|"):
+        for variant, run in runs:
+            own = [column for column in members if column in run.columns]
+            units = {run.units.get(column, "") for column in own}
+            unit = units.pop() if len(units) == 1 else ""
+            if own and len(run.time):
+                yield _curve(title, variant, (), unit, run.time, norm(run.select(own)))
+        return
+    for k, column in enumerate(members):
+        dash = DASHES[k % len(DASHES)]
+        held = [(v, run) for v, run in runs if column in run.columns and len(run.time)]
+        if not held:
+            continue
+        first = held[0][1]
+        values = first.select((column,))[:, 0]
+        same = len(held) > 1 and all(
+            np.array_equal(first.time[: len(run.time)], run.time[: len(first.time)])
+            and np.array_equal(*_common(values, run.select((column,))[:, 0]))
+            for _, run in held[1:]
+        )
+        if same:  # e.g. theta(t): the longest stands for all
+            held = [(EVERY, max((run for _, run in held), key=lambda run: len(run.time)))]
+        for variant, run in held:
+            shown = run.select((column,))[:, 0]
+            yield _curve(column, variant, dash, run.units.get(column, ""), run.time, shown)
+
+
+def _common(a: Array, b: Array) -> tuple[Array, Array]:
+    return a[: len(b)], b[: len(a)]
+
+
+def _curve(
+    label: str, variant: int, dash: tuple[int, ...], unit: str, time: Array, values: Array
+) -> Curve:
+    rows = thin(values, POINTS // 2)
+    numbers = (math.nan,) * 4
+    if np.any(np.isfinite(values)):
+        least, largest = float(np.nanmin(values)), float(np.nanmax(values))
+        numbers = (float(values[0]), least, largest, float(values[-1]))
+    return Curve(label, variant, dash, unit, time[rows], values[rows], numbers)
+
+
+def pretty(label: str) -> str:
+    """A variable's name with Greek letters: ``controller.theta_hat[1]`` has θ̂."""
+    found = re.sub(r"(?<![A-Za-z])(" + "|".join(_GREEK) + r")(?![A-Za-z])", _letter, label)
+    return re.sub(r"(\w)_hat\b", lambda match: f"{match[1]}\u0302", found)
+
+
+def _letter(match: re.Match[str]) -> str:
+    return _GREEK[match[1]]
+
+
+def controls(variants: Sequence[str], start: float, stop: float) -> Iterator[str]:
+    """Switches for variants and scale, and a slider that moves the cursor."""
+    yield '<div class="controls" role="group" aria-label="Controls of the plots">'
+    if len(variants) > 1:
+        yield "<fieldset><legend>Show</legend>"
+        for k, variant in enumerate(variants):
+            yield (
+                f'<label><input type="checkbox" checked data-toggle="{k}">{swatch(k)} '
+                f"{escape(variant)}</label>"
+            )
+        yield "</fieldset>"
+    yield (
+        '<label>Scale <select class="scale"><option value="auto">as suggested</option>'
+        '<option value="linear">linear</option>'
+        '<option value="symlog">symmetric logarithmic</option></select></label>'
+    )
+    step = (stop - start) / 500 if stop > start else 1
+    yield (
+        f'<label>Cursor <input type="range" class="time" min="{start!r}" max="{stop!r}" '
+        f'step="{step!r}" value="{start!r}"></label><output class="time"></output></div>'
+    )
+
+
+def draw_panels(
+    panels: Sequence[Panel], variants: Sequence[str]
+) -> tuple[list[str | Drawn], dict[str, dict[str, Any]]]:
+    """Plots and their tables, and the scales that the page's script reads."""
+    from bokeh.models import Range1d
+
+    times = [curve.time for panel in panels for curve in panel.curves if len(curve.time)]
+    start = min((float(t[0]) for t in times), default=0.0)
+    stop = max((float(t[-1]) for t in times), default=1.0)
+    span = Range1d(start, stop, bounds="auto") if stop > start else Range1d(start, start + 1.0)
+    pieces: list[str | Drawn] = []
+    scales = {}
+    for panel in panels:
+        plot = _plot(panel, variants, span)
+        units = f" [{plain_unit(panel.unit)}]" if plain_unit(panel.unit) else ""
+        pieces.append(
+            f'<section class="panel"><h3>{escape(pretty(panel.title))}{escape(units)}</h3>'
+        )
+        pieces.append(
+            Drawn(plot, f"{panel.title} against time; the table beside it has its numbers")
+        )
+        pieces += ["\n".join(_numbers(panel, variants)), "</section>"]
+        mode, threshold = first_scale(
+            [(curve.variant, curve.value) for curve in panel.curves],
+            logarithmic=panel.title.startswith("|") or panel.title[:4] in ("esti", "Lyap"),
+        )
+        scales[panel.name] = {"mode": mode, "first": mode, "threshold": threshold}
+    return pieces, scales
+
+
+def _plot(panel: Panel, variants: Sequence[str], span: Any) -> figure:
+    from bokeh.models import ColumnDataSource, CustomJSTransform
+    from bokeh.transform import transform
+
+    plot = empty_plot(panel.name, x_range=span)
+    place = CustomJSTransform(v_func=f"return congelation.placed('{panel.name}', xs)")
+    for curve in panel.curves:
+        source = ColumnDataSource({"time": curve.time, "value": curve.value}, name=curve.name)
+        who = "every variant" if curve.variant == EVERY else variants[curve.variant]
+        drawn = plot.line(
+            "time",
+            transform("value", place),
+            source=source,
+            line_width=2,
+            line_dash=list(curve.dash) or "solid",
+            name=f"{curve.label}, {who}",
+        )
+        drawn.tags = [f"variant {curve.variant}"]  # given above, they would be the glyph's
+        if curve.run:
+            drawn.tags.append(f"run {curve.run}")
+            drawn.visible = curve.run == panel.curves[0].run  # an axis needs a curve to fit
+    return plot
+
+
+def empty_plot(name: str, **options: Any) -> figure:
+    """A plot whose vertical axis follows the scale of that name in the page's script."""
+    from bokeh.models import CustomJS, CustomJSTicker, CustomJSTickFormatter, HoverTool, Span
+    from bokeh.plotting import figure
+
+    plot = figure(
+        name=name,
+        height=HEIGHT,
+        sizing_mode="stretch_width",
+        tools="xpan,box_zoom,wheel_zoom,undo,reset,save",
+        active_drag="box_zoom",
+        active_scroll=None,
+        toolbar_location="above",
+        x_axis_label="t [s]",
+        min_border_right=12,
+        **options,
+    )
+    plot.toolbar.logo = None
+    plot.y_range.only_visible = True
+    plot.yaxis.ticker = CustomJSTicker(
+        major_code=f"return congelation.ticks('{name}', cb_data.start, cb_data.end)"
+    )
+    plot.yaxis.formatter = CustomJSTickFormatter(code=f"return congelation.tick('{name}', tick)")
+    plot.add_tools(
+        HoverTool(
+            tooltips=[("", "$name"), ("t", "@time{0.0000} s"), ("", "@value{0.0000e+0}")],
+            limit=3,
+            line_policy="nearest",
+        )
+    )
+    plot.add_layout(Span(dimension="height", name="cursor", visible=False, line_width=1))
+    follow = CustomJS(code="congelation.cursor(cb_obj.x)")
+    for event in ("mousemove", "tap"):
+        plot.js_on_event(event, follow)
+    return plot
+
+
+def _numbers(panel: Panel, variants: Sequence[str]) -> Iterator[str]:
+    """The table beside a plot, which is its legend, too."""
+    about = escape(f"Numbers of {panel.title}")
+    yield f'<div class="numbers" tabindex="0" role="region" aria-label="{about}"><table><thead><tr>'
+    for head in ("curve", "start", "least", "largest", "end", "cursor"):
+        yield f'<th scope="col">{head}</th>'
+    yield "</tr></thead><tbody>"
+    several = len({curve.unit for curve in panel.curves}) > 1
+    for curve in panel.curves:
+        who = "every variant" if curve.variant == EVERY else variants[curve.variant]
+        name = pretty(curve.label.partition(".")[2] or curve.label)
+        name = f"|{name}" if curve.label.startswith("|") else name
+        if several and plain_unit(curve.unit):
+            name += f" [{plain_unit(curve.unit)}]"
+        cells = "".join(f"<td>{escape(_short(value))}</td>" for value in curve.numbers)
+        of = f'data-run="{curve.run}" hidden' if curve.run else f'data-variant="{curve.variant}"'
+        label = (
+            f"{swatch(curve.variant, curve.dash)} {escape(name)}<br><small>{escape(who)}</small>"
+        )
+        yield (
+            f'<tr {of}><th scope="row">{label}</th>{cells}<td data-curve="{curve.name}">–</td></tr>'
+        )
+    yield "</tbody></table></div>"
+
+
+def _short(value: float) -> str:
+    """Three digits, so that five numbers stand beside each other on a phone."""
+    return "–" if math.isnan(value) else f"{value:.3g}"

@@ -1,0 +1,261 @@
+"""The tables of a scenario file, or of a scenario composed in Python: read, and checked."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from congelation import keys
+from congelation.cosim.system import Component, Connection, Recorded, ResolvedSystem, System
+from congelation.errors import InvalidInput, nearest
+from congelation.fmi.description import describe
+from congelation.scenario.metrics import metric
+from congelation.scenario.parts import (
+    EXPERIMENT,
+    Experiment,
+    FigureSpec,
+    MetricSpec,
+    Variant,
+    agreed,
+)
+from congelation.scenario.settings import SettingsReader, component_values
+from congelation.scenario.sweep_table import read_sweep
+from congelation.toml import Section
+
+__all__ = ["read_scenario"]
+
+_BUILD = "build it with: congelation build SPEC.toml"
+
+
+def read_scenario(document: Section, stem: str) -> dict[str, Any]:
+    """The fields of the scenario that a document describes.
+
+    `stem` names the variant of a scenario that has none.
+    """
+    top = document.read(keys.SCENARIO)
+    components = tuple(_component(s, name) for name, s in top["components"].subsections())
+    connections = tuple(
+        document.attempt("connections", partial(Connection.parse, connection))
+        for connection in top["connections"]
+    )
+    system = System(components, connections)
+    try:
+        resolved = system.resolve()
+    except InvalidInput as error:
+        raise InvalidInput(f"{document.file}: {error}") from error
+    experiment = _experiment(top[EXPERIMENT])
+    metrics = tuple(_metric(s, name) for name, s in top["metrics"].subsections())
+    figures = tuple(_figure(s) for s in top["figures"])
+    experiment, measured = _recording(top, resolved, experiment, metrics, figures)
+    reader = SettingsReader(
+        {member.name: member.description for member in resolved.members},
+        _driven(resolved),
+        experiment,
+    )
+    for component in components:
+        start = top["components"].section(component.name).section("start")
+        reader.check_free(start, component.name, component.start)
+    variants = _variants(top["variants"], reader) or (Variant(stem),)
+    _check_figures(top["figures"], figures, experiment, variants)
+    sweep = read_sweep(top["sweep"], reader) if "sweep" in document.data else None
+    given = {f"{c.name}.{name}" for c in components for name in c.start}
+    given |= {name for variant in variants for name in variant.settings}
+    given |= set(sweep.names()) if sweep is not None else set()
+    left_open = document.attempt("open", partial(_open, resolved, top["open"]))
+    return {
+        "title": top["title"],
+        "system": system,
+        "experiment": experiment,
+        "variants": variants,
+        "metrics": metrics,
+        "figures": figures,
+        "sweep": sweep,
+        "open": top["open"],
+        "measured": measured,
+        "warnings": (
+            *_doubtful(resolved, document.file),
+            *_forgotten(resolved, {*given, *left_open, *reader.driven}, document.file),
+        ),
+    }
+
+
+def _component(section: Section, name: str) -> Component:
+    read = section.read(keys.COMPONENT)
+    if name == EXPERIMENT:
+        raise section.within(f"choose a name other than '{name}'")
+    fmu = _find_fmu(section)
+    description = section.attempt("fmu", partial(describe, fmu))
+    return Component(name, fmu, component_values(read["start"], read["profile"], description))
+
+
+def _find_fmu(section: Section) -> Path:
+    """The file that `fmu` names: a path from the scenario's folder, or a name in a fmus/ folder."""
+    name = section.text("fmu")
+    home = Path(section.file).absolute().parent
+    if name.endswith(".fmu"):
+        return home / name
+    folders = [folder / "fmus" for folder in (home, *home.parents, Path.cwd())]
+    for folder in folders:
+        if (folder / f"{name}.fmu").is_file():
+            return folder / f"{name}.fmu"
+    built = sorted({f.stem for folder in folders for f in folder.glob("*.fmu")})
+    remedy = f"{nearest(name, built)} Or {_BUILD}" if built else _BUILD
+    raise section.error("fmu", f"= '{name}' is no FMU in fmus/; {remedy}")
+
+
+def _experiment(section: Section) -> Experiment:
+    """The experiment that a table describes."""
+    values = section.read(keys.EXPERIMENT)
+    options: Section = values["options"]
+    values["options"] = {
+        key: options.seconds(key) if isinstance(value, Mapping) else value
+        for key, value in options.data.items()
+    }
+    for key, value in options.data.items():
+        if isinstance(value, list):
+            raise options.wrong(key, "one value")
+    experiment = agreed(values, section.place)
+    periods = experiment.chosen_coupling.periods
+    for key, value in options.data.items():
+        if isinstance(value, Mapping) and key not in periods:
+            raise options.error(key, "is no time; give it without a unit")
+    return experiment
+
+
+def _metric(section: Section, name: str) -> MetricSpec:
+    if "." in name or not name.strip():
+        raise section.within(f"choose a name other than '{name}'")
+    read = section.read(keys.METRIC)
+    found = section.attempt("metric", partial(metric, read["metric"]))
+    of = () if found.loop else ("of",)
+    section.require(*of).only(("metric", *of, *found.options))
+    section.require(*(option for option, required in found.options.items() if required))
+    options = {key: section.number(key) for key in section.data if key in found.options}
+    for key in found.positive:
+        if options.get(key, 1.0) <= 0.0:
+            raise section.wrong(key, "a positive number")
+    return MetricSpec(name, found.name, section.text("of") if of else "", options)
+
+
+def _figure(section: Section) -> FigureSpec:
+    read = section.read(keys.FIGURE)
+    name, panels, span = read["name"], read["panels"], read["span"]
+    if not name.replace("_", "").replace("-", "").isalnum():
+        raise section.wrong("name", "letters, digits, - and _, as it names a file")
+    if not panels:
+        raise section.wrong("panels", "at least one variable")
+    if span and (len(span) != 2 or span[0] >= span[1]):
+        raise section.wrong("span", "[start, stop] in seconds")
+    return FigureSpec(name, panels, (span[0], span[1]) if span else None)
+
+
+def _check_figures(
+    sections: Iterable[Section],
+    figures: Iterable[FigureSpec],
+    experiment: Experiment,
+    variants: Iterable[Variant],
+) -> None:
+    """Raise InvalidInput for a figure that would replace another, or shows no part of any run."""
+    runs = [v.settings for v in variants]
+    start = min(run.get(f"{EXPERIMENT}.start_time", experiment.start_time) for run in runs)
+    stop = max(run.get(f"{EXPERIMENT}.stop_time", experiment.stop_time) for run in runs)
+    names: set[str] = set()
+    for figure, section in zip(figures, sections, strict=True):
+        if figure.name in names:
+            raise section.error("name", f"= '{figure.name}' is given twice; names must differ")
+        names.add(figure.name)
+        if figure.span is not None and not (figure.span[0] < stop and figure.span[1] > start):
+            raise section.wrong("span", f"a part of the time from {start:g} to {stop:g}")
+
+
+def _variants(sections: Iterable[Section], reader: SettingsReader) -> tuple[Variant, ...]:
+    variants: list[Variant] = []
+    for section in sections:
+        read = section.read(keys.VARIANT)
+        name = read["name"]
+        if any(name == other.name for other in variants):
+            raise section.error("name", f"= '{name}' is given twice; names must differ")
+        variants.append(Variant(name, reader.read(read["set"])))
+    return tuple(variants)
+
+
+def _driven(resolved: ResolvedSystem) -> dict[str, str]:
+    """The inputs that connections drive, ``component.variable``, and what each is driven by."""
+    found: dict[str, str] = {}
+    for link in (*resolved.links, *resolved.discrete_links):
+        for variable in (link.input, *link.target_derivatives):
+            if variable is not None:
+                found[f"{resolved.members[link.target].name}.{variable.name}"] = link.name
+    return found
+
+
+def _open(resolved: ResolvedSystem, names: Iterable[str]) -> set[str]:
+    """The scalar inputs that names stand for."""
+    found: set[str] = set()
+    for name in names:
+        for entry in resolved.recorded([name]):
+            if entry.variable.causality != "input":
+                raise InvalidInput(f"'{name}' is of causality {entry.variable.causality}, no input")
+            found.add(entry.name)
+    return found
+
+
+def _doubtful(resolved: ResolvedSystem, place: str) -> Iterator[str]:
+    """A line for each connection whose units cannot be compared."""
+    for link in resolved.links:
+        if link.doubt:
+            yield f"{place}: connection '{link.name}': {link.doubt}"
+
+
+def _forgotten(resolved: ResolvedSystem, known: Collection[str], place: str) -> Iterator[str]:
+    """A line for each input that nothing drives or sets, and that is not meant to be left alone."""
+    for member in resolved.members:
+        description = member.description
+        for name, variable in description.variables.items():
+            if (
+                variable.causality == "input"
+                and f"{member.name}.{name}" not in known
+                and name not in description.open_inputs
+            ):
+                yield (
+                    f"{place}: input '{member.name}.{name}' has no connection and no start value; "
+                    f'connect it, set it, or list it in open = ["{member.name}.{name}"]'
+                )
+
+
+def _recording(
+    top: Mapping[str, Any],
+    resolved: ResolvedSystem,
+    experiment: Experiment,
+    metrics: Iterable[MetricSpec],
+    figures: Iterable[FigureSpec],
+) -> tuple[Experiment, tuple[str, ...] | None]:
+    """The experiment with all columns that are named, measured and drawn; and those measured.
+
+    An experiment that names none records every number among the outputs.
+    """
+
+    def names(recorded: Iterable[Recorded]) -> list[str]:
+        return [column.name for column in recorded]
+
+    section = top[EXPERIMENT]
+    wanted = experiment.record or None
+    columns = names(section.attempt("record", partial(resolved.recorded, wanted)))
+    measured: list[str] = []
+    for spec in metrics:
+        found, place = metric(spec.metric), top["metrics"].section(spec.name)
+        if not found.loop:  # the states of a loop are added where a study is planned
+            group = names(place.attempt("of", partial(resolved.recorded, [spec.of])))
+            place.attempt("of", partial(found.check_size, len(group)))
+            columns += group
+            measured += group
+    for figure, place in zip(figures, top["figures"], strict=True):
+        columns += names(place.attempt("panels", partial(resolved.recorded, figure.variables)))
+    everything = any(metric(spec.metric).recorded for spec in metrics)
+    return (
+        replace(experiment, record=tuple(dict.fromkeys(columns))),
+        None if everything else tuple(dict.fromkeys(measured)),
+    )

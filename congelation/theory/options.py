@@ -1,0 +1,44 @@
+"""What a law copes with beyond the paper, and the input that a reference comes in by."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import casadi as ca
+
+from congelation.theory.model import Input, Variables
+
+__all__ = ["Options", "reference_input"]
+
+
+@dataclass(frozen=True)
+class Options:
+    """What a law copes with, beyond the parameters theta(t) of the paper.
+
+    Attributes
+    ----------
+    tracking : bool
+        The output follows a reference y_r, whose derivatives are inputs.
+    varying_gain : bool
+        The plant's input gain b(t) is unknown and varies; its sign is known. State feedback only.
+    unknown_radius : bool
+        The radius delta is not known; the term of the damping that holds it is estimated.
+    bound_estimator : bool
+        In place of congelation's damping: what varies is a disturbance of bounded size, and the
+        bound is estimated. State feedback, without the two before.
+    """
+
+    tracking: bool = False
+    varying_gain: bool = False
+    unknown_radius: bool = False
+    bound_estimator: bool = False
+
+    def __str__(self) -> str:
+        named = [f.name.replace("_", " ") for f in fields(self) if getattr(self, f.name)]
+        return ", ".join(named)
+
+
+def reference_input(order: int) -> Input:
+    """The input yr[0] .. yr[order]: a reference and its derivatives."""
+    about = "Reference y_r and its derivatives y_r^(j)"
+    return Input.of(Variables("yr", ca.SX.sym("yr", order + 1), about, first=0))
