@@ -28,6 +28,7 @@ STANDARD = (
     "reference",
     "disturbance",
     "noise",
+    "noise2",
     "saturation",
     "lag",
     "delay",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import webbrowser
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,7 +19,7 @@ from congelation.report.html import write_html
 from congelation.report.pareto import draw_front, pareto_front
 from congelation.report.summary import number, summarise_groups
 from congelation.report.table import aligned
-from congelation.results.figures import save
+from congelation.results.figures import FORMATS, save
 from congelation.results.results import open_results
 from congelation.sweep.plan import FAILURES
 
@@ -27,6 +28,8 @@ __all__ = ["export", "ls", "open", "report", "show"]
 Directory = Annotated[
     Path, typer.Argument(metavar="DIR", help="Result directory.", show_default=False)
 ]
+
+SMALLEST, LARGEST = 2.0, 40.0  # inches: axes fit into the first, a poster is the second
 
 PAGE = "report.html"
 """Name of the page in its result directory."""
@@ -44,6 +47,24 @@ def report(
             show_default="DIR/report.html",
         ),
     ] = None,
+    figures: Annotated[
+        Path | None,
+        typer.Option(
+            help="Where to write the figures.", metavar="FOLDER", show_default="DIR/figures"
+        ),
+    ] = None,
+    form: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--format",
+            help="pdf, png or svg (repeatable).",
+            metavar="FORMAT",
+            show_default="pdf and png",
+        ),
+    ] = None,
+    width: Annotated[
+        str, typer.Option(help="Width of the figures: in, cm or mm.", metavar="LENGTH")
+    ] = "3.5in",
     by: Annotated[
         list[str] | None,
         typer.Option(help="Group runs by this column (repeatable).", show_default=False),
@@ -59,8 +80,15 @@ def report(
     """Summarise a result directory, draw its figures and write its page from stored results."""
     results = open_results(folder)
     study = results.study()
+    formats = form or ["pdf", "png"]
+    for name in formats:
+        if name not in FORMATS:
+            raise InvalidInput(f"--format {name}: give one of {', '.join(FORMATS)}")
+    inches = _inches(width)
     if html is not None:
         check_file("--html", html)
+    if figures is not None:
+        check_folder("--figures", figures)
     if by:
         summary = summarise_groups(study, by)
         header = [", ".join(by), *summary.columns]
@@ -71,11 +99,12 @@ def report(
             raise InvalidInput(f"{folder}: no run has finite {' and '.join(pareto)}")
         _print_rows([run.row() for run in front])
         if len(pareto) == 2:
-            for file in save(draw_front(study, pareto), folder / "figures", "pareto"):
+            place = figures or folder / "figures"
+            for file in save(draw_front(study, pareto), place, "pareto", formats):
                 print(file)
     if not (by or pareto):
         print_summary(results)
-    print_figures(results)
+    print_figures(results, figures, formats, inches)
     # Questions on the command line alone are answered there; a page of 10,000 runs takes seconds.
     if html is not None or not (by or pareto):
         page = html or folder / PAGE
@@ -155,6 +184,18 @@ def export(
     if mat is not None:
         write_mat(results, mat)
         print(mat)
+
+
+def _inches(text: str) -> float:
+    """A length as `--width` takes it, in inches."""
+    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*(in|cm|mm)", text.strip())
+    inches = float(match[1]) / {"in": 1.0, "cm": 2.54, "mm": 25.4}[match[2]] if match else 0.0
+    if not SMALLEST <= inches <= LARGEST:
+        raise InvalidInput(
+            f"--width {text}: give a length from {SMALLEST:g}in to {LARGEST:g}in, such as 3.5in, "
+            "8.8cm or 88mm"
+        )
+    return inches
 
 
 def _print_rows(rows: Sequence[Mapping[str, object]]) -> None:

@@ -21,6 +21,7 @@ from congelation.cli.shared import (
     print_json,
     print_summary,
 )
+from congelation.cosim import compiled
 from congelation.errors import CongelationError, InvalidInput
 from congelation.results.identity import code_version
 from congelation.results.record import RunRecord
@@ -251,6 +252,11 @@ def _positive(timeout: float | None) -> float | None:
 
 def _carried_out(plan: Plan, workers: Workers, form: Form) -> Results:
     """Carry a study out and show how far it is."""
+    if compiled.library() is None:
+        complain(
+            "the compiled stepping loop is not installed, so Python makes all steps: the same "
+            "results, later; with a C compiler there, install congelation again"
+        )
     try:
         with shown(plan, form) as listener:
             return carry_out(plan, workers, listener)
@@ -268,7 +274,7 @@ def _announce(plan: Plan, workers: Workers, *, measured: bool) -> None:
     """Say how many runs there are, and what those missing will take."""
     print(f"{plan.total} runs, {len(plan.missing)} of them to do in {plan.store.root}")
     if plan.others:
-        print(f"{plan.others} runs there are of another study, or another state of the scenario")
+        print(f"{plan.others} other runs are of another study or an earlier state of the scenario")
     for version in plan.versions:
         if version != code_version():
             complain(

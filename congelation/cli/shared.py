@@ -18,7 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from congelation.report.summary import summarise
-from congelation.results.figures import save
+from congelation.results.figures import WIDTH, save
 from congelation.results.results import Results
 
 __all__ = [
@@ -125,8 +125,15 @@ def print_summary(results: Results) -> None:
     print_table(study.about["title"], summary.columns, summary.lines)
 
 
-def print_figures(results: Results) -> None:
+def print_figures(
+    results: Results,
+    folder: Path | None = None,
+    formats: Sequence[str] = ("pdf", "png"),
+    width: float = WIDTH,
+) -> None:
     """Draw the figures of a result directory, and say where they are."""
     for name in results.figures():
-        for file in save(results.plot(name), results.folder / "figures", name):
+        for file in save(
+            results.plot(name, width), folder or results.folder / "figures", name, formats
+        ):
             print(file)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -81,7 +82,13 @@ def check(
             if target is not None and not target.absolute().parent.is_dir():
                 raise InvalidInput(f"there is no folder for '{target}'")
         console = Console(stderr=True)
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as progress:
+        with Progress(
+            console=console,
+            transient=True,
+            disable=not console.is_terminal,
+            # Findings that go to a file must not be printed above the bar instead.
+            redirect_stdout=sys.stdout.isatty(),
+        ) as progress:
             task = progress.add_task("checking", total=len(fmus) * len(chosen))
 
             def advance(path: Path, verdict: Verdict) -> None:

@@ -272,13 +272,16 @@ def judge(
     try:
         for found in rule.look(subject):  # type: ignore[arg-type]  # each kind gets its own subject
             breaches.append(found if isinstance(found, Breach) else Breach(found))
-    except (NotApplicable, NotEvaluated) as reason:
+    except (NotApplicable, NotEvaluated) as why:
         if not breaches:
-            not_applicable = isinstance(reason, NotApplicable)
+            not_applicable = isinstance(why, NotApplicable)
             outcome = Outcome.NOT_APPLICABLE if not_applicable else Outcome.NOT_EVALUATED
-            return outcome, (), str(reason), ""
+            return outcome, (), str(why), ""
     except Violated as breach:
         breaches.append(Breach(str(breach)))
+    except Exception as error:  # a defect of the rule, which must not look like one of the FMU
+        reason = f"the check itself failed ({type(error).__name__}: {error}); please report it"
+        return Outcome.NOT_EVALUATED, (), reason, ""
     causes = {_cause(breach.what) for breach in breaches}
     if len(causes) == 1:
         (cause,) = causes

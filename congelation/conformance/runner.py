@@ -17,6 +17,7 @@ from congelation.conformance.finding import FmuReport, Report, Verdict, merged
 from congelation.conformance.known import Accepted, read_known
 from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Outcome, Rule
 from congelation.conformance.rules import RULES
+from congelation.conformance.subject import DESCRIPTION
 from congelation.errors import InvalidInput, nearest
 
 __all__ = ["check", "select"]
@@ -110,7 +111,8 @@ def check(
     Raises
     ------
     InvalidInput
-        A path does not exist, a rule is not known, or the file of known findings is wrong.
+        A path does not exist or is no FMU, a rule is not known, or the file of known findings is
+        wrong.
 
     Examples
     --------
@@ -122,6 +124,8 @@ def check(
     for path in files:
         if not path.exists():
             raise InvalidInput(f"there is no FMU at '{path}'")
+        if path.is_dir() and not (path / DESCRIPTION).is_file():
+            raise InvalidInput(f"the folder '{path}' is no unpacked FMU: it has no {DESCRIPTION}")
     accepted = read_known(Path(known), BY_ID) if known is not None else ()
     used: set[Accepted] = set()
     reports = []

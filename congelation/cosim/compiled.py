@@ -1,8 +1,8 @@
 """The compiled stepping loop (loop.c), called through ctypes.
 
-It makes the plain steps of `jacobi`, `gauss_seidel` and `hermite`, for any FMUs. Everything that is
-not plain is left to the loops in Python, which are the reference: they make the step that the
-compiled loop ended at, and so find the status and the message of a run that fails.
+It makes the plain steps of `jacobi`, `gauss_seidel`, `derivative` and `hermite`, for any FMUs.
+Everything that is not plain is left to the loops in Python, which are the reference: they make the
+step that the compiled loop ended at, and so find the status and the message of a run that fails.
 
 The shared library is built when the package is installed. Where there is none, because there was no
 compiler, runs are the same, and slower.
@@ -32,7 +32,7 @@ __all__ = [
     "REFUSED",
     "UNUSUAL",
     "CompiledHeld",
-    "CompiledHermite",
+    "CompiledPolynomials",
     "Loop",
     "fits",
     "library",
@@ -87,6 +87,7 @@ class _Slave(ctypes.Structure):
         ("checked", ctypes.c_void_p),
         ("n_checked", ctypes.c_size_t),
         ("forward", ctypes.c_void_p),
+        ("ahead", ctypes.c_void_p),
     ]
 
 
@@ -122,8 +123,9 @@ class Loop(ctypes.Structure):
     ]
 
 
-class _Hermite(ctypes.Structure):
+class _Plan(ctypes.Structure):
     _fields_ = [
+        ("iterates", ctypes.c_int),
         ("highest", ctypes.c_int),
         ("chooses", ctypes.c_int),
         ("accelerates", ctypes.c_int),
@@ -150,13 +152,19 @@ class _Memory(ctypes.Structure):
     ]
 
 
+VERSION = 1
+"""Of the library that fits these structures; as in loop.c."""
+
+
 @cache
 def library() -> ctypes.CDLL | None:
-    """The compiled loop; None where it was not built."""
+    """The compiled loop; None where it was not built, or in another version."""
     file = Path(__file__).with_name("loop" + str(sysconfig.get_config_var("EXT_SUFFIX")))
     try:
         found = ctypes.CDLL(str(file))
-    except OSError:
+        if found.loop_version() != VERSION:
+            return None
+    except (OSError, AttributeError):
         return None
     found.work_size.restype = ctypes.c_size_t
     found.work_size.argtypes = [ctypes.c_size_t, ctypes.c_size_t]
@@ -307,19 +315,17 @@ class CompiledHeld(_Compiled):
         super().__init__(ensemble, rows)
         self._sequential = sequential
 
-    def run(self, time: float, ends: Floats) -> tuple[int, int]:
+    def run(self, time: float, ends: Floats) -> int:
         """Step from `time` to each of the points `ends`.
 
         Returns
         -------
-        code : int
+        int
             DONE, FULL, or NOT_FINITE or REFUSED in the step that was the last one.
-        made : int
-            Steps that were made and recorded.
         """
         ends = np.ascontiguousarray(ends)
         before = self.ensemble.Y[self.ensemble.source]
-        code = self.called(
+        return self.called(
             self.library.run_held,
             ctypes.c_int(self._sequential),
             ctypes.c_double(time),
@@ -327,80 +333,92 @@ class CompiledHeld(_Compiled):
             ctypes.c_long(len(ends)),
             ctypes.c_void_p(before.ctypes.data),
         )
-        return code, self.loop.steps
 
 
-class CompiledHermite(_Compiled):
-    """`hermite` with steps chosen by a tolerance, compiled.
+class CompiledPolynomials(_Compiled):
+    """`hermite` and `derivative`, compiled.
 
     Parameters
     ----------
     ensemble, rows
         As of `_Compiled`.
-    plan : Plan
-    tolerance, horizon : float
-        Of the run; `horizon` is its length in seconds.
+    plan : Plan or array
+        Of `hermite`; or that of `derivative`, shape (slaves, L).
+    tolerance : float
+        Of steps that are chosen by one; else any number.
+    horizon : float
+        Length of the run in seconds.
     """
 
     def __init__(
-        self, ensemble: Ensemble, rows: Sequence[Rows], plan: Plan, tolerance: float, horizon: float
+        self,
+        ensemble: Ensemble,
+        rows: Sequence[Rows],
+        plan: Plan | npt.NDArray[np.uint8],
+        tolerance: float,
+        horizon: float,
     ) -> None:
         super().__init__(ensemble, rows)
-        links, unknowns = len(ensemble.links), 2 * len(plan.back)
         self._horizon = horizon
+        self._iterates = isinstance(plan, Plan)
+        links, unknowns = len(ensemble.links), 0
+        fields: dict[str, Any] = {}
+        if isinstance(plan, Plan):
+            unknowns = 2 * len(plan.back)
+            fields = {
+                "highest": plan.highest,
+                "chooses": plan.chooses,
+                "accelerates": plan.accelerates,
+                "max_iterations": plan.max_iterations,
+                "accuracy": plan.accuracy,
+                "n_back": len(plan.back),
+                "back": self._address(plan.back),
+            }
+        for m, slave in enumerate(self.loop.slaves[: len(ensemble.slaves)]):
+            if isinstance(plan, Plan):
+                slave.forward = self._address(plan.forward[m].astype(np.uint8))
+            else:
+                slave.ahead = self._address(plan[m])
+        self._plan = _Plan(
+            iterates=self._iterates,
+            tolerance=tolerance,
+            work=self._address(np.zeros(self.library.work_size(links, unknowns))),
+            **fields,
+        )
         self._table = np.zeros((2, KEPT, links))
         self._J = np.zeros((unknowns, unknowns))
-        forward = plan.forward.astype(np.uint8)
-        for m in range(len(ensemble.slaves)):
-            self.loop.slaves[m].forward = self._address(forward[m])
-        self._hermite = _Hermite(
-            plan.highest,
-            plan.chooses,
-            plan.accelerates,
-            plan.max_iterations,
-            tolerance,
-            plan.accuracy,
-            len(plan.back),
-            self._address(plan.back),
-            self._address(np.zeros(self.library.work_size(links, unknowns))),
-        )
         self._memory = _Memory(table=self._address(self._table), J=self._address(self._J))
-        self._has_saved = False
 
-    def run(
+    def adaptive(
         self,
-        state: HermiteState,
+        state: HermiteState | Points,
         size: StepSize,
         time: float,
         target: float,
         *,
         most: int,
         records_target: bool,
-    ) -> tuple[int, HermiteState, StepSize, float]:
+    ) -> tuple[int, HermiteState | Points, StepSize, float]:
         """Step from `time` towards `target`, at most `most` steps, those taken back included.
 
         Returns
         -------
         code : int
             DONE at the target; FULL; REFUSED; UNUSUAL where the step that is next is for Python.
-        state : HermiteState
+        state : HermiteState or Points
         size : StepSize
         time : float
         """
         memory, ensemble = self._memory, self.ensemble
-        for m, state_of in enumerate(ensemble.state_handles()):
-            self.loop.slaves[m].state = ctypes.addressof(state_of)
-        memory.times[: len(state.points.times)] = state.points.times
-        memory.n_times = len(state.points.times)
-        self._table[:] = state.points.table
-        self._J[:] = state.J
-        memory.order, memory.length = state.order, state.length
+        for m, handle in enumerate(ensemble.state_handles()):
+            self.loop.slaves[m].state = ctypes.addressof(handle)
+        self._load(state)
         memory.step, memory.error_before = size.length, size.error_before
         memory.rejected = size.rejected
         now = ctypes.c_double(time)
         code = self.called(
-            self.library.run_hermite,
-            ctypes.byref(self._hermite),
+            self.library.run_adaptive,
+            ctypes.byref(self._plan),
             ctypes.byref(memory),
             ctypes.byref(now),
             ctypes.c_double(target),
@@ -409,7 +427,49 @@ class CompiledHermite(_Compiled):
             ctypes.c_int(records_target),
         )
         ensemble.calls += self.loop.state_calls
-        points = Points(tuple(memory.times[: memory.n_times]), self._table.copy())
-        after = HermiteState(points, memory.order, self._J.copy(), memory.length)
         step = StepSize(memory.step, memory.error_before, bool(memory.rejected))
-        return code, after, step, now.value
+        return code, self._state(), step, now.value
+
+    def fixed(self, state: Points, time: float, ends: Floats) -> tuple[int, Points]:
+        """Step from `time` to each of the points `ends`, by `derivative`.
+
+        Returns
+        -------
+        code : int
+            DONE, FULL, or NOT_FINITE or REFUSED in the step that was the last one.
+        state : Points
+        """
+        ends = np.ascontiguousarray(ends)
+        self._load(state)
+        before, now = np.ascontiguousarray(state.now), ctypes.c_double(time)
+        code = self.called(
+            self.library.run_derivative,
+            ctypes.byref(self._plan),
+            ctypes.byref(self._memory),
+            ctypes.byref(now),
+            ctypes.c_void_p(ends.ctypes.data),
+            ctypes.c_long(len(ends)),
+            ctypes.c_void_p(before.ctypes.data),
+        )
+        return code, self._points_now()
+
+    def _load(self, state: HermiteState | Points) -> None:
+        """Give the compiled loop a state."""
+        memory = self._memory
+        points = state if isinstance(state, Points) else state.points
+        memory.times[: len(points.times)] = points.times
+        memory.n_times = len(points.times)
+        self._table[:] = points.table
+        if not isinstance(state, Points):
+            self._J[:] = state.J
+            memory.order, memory.length = state.order, state.length
+
+    def _points_now(self) -> Points:
+        return Points(tuple(self._memory.times[: self._memory.n_times]), self._table.copy())
+
+    def _state(self) -> HermiteState | Points:
+        """The state that it has left."""
+        points, memory = self._points_now(), self._memory
+        if not self._iterates:
+            return points
+        return HermiteState(points, memory.order, self._J.copy(), memory.length)

@@ -54,6 +54,8 @@ typedef struct {
     const double *checked;    /* the part of Y in which every value has to be finite */
     size_t n_checked;
     const unsigned char *forward;  /* the links whose source steps before their target, and is this */
+    const unsigned char *ahead;    /* the links whose target is this, and whose source steps before: the
+                                      highest derivative that the input takes; else 0 */
 } Slave;
 
 typedef struct {
@@ -75,6 +77,10 @@ typedef struct {
     const char *function;     /* that call */
     double time;              /* at the beginning of its step */
 } Loop;
+
+/* Raised with each change of a structure or a function here: a library of another version, left over
+   from an earlier installation, is not used. */
+EXPORT int loop_version(void) { return 1; }
 
 static int refused(Loop *loop, int status, const char *function) {
     loop->status = status;
@@ -187,7 +193,7 @@ ended:
     return code;
 }
 
-/* -- hermite: polynomials through both ends, found by repeating the step --------------------------- */
+/* -- derivative and hermite: polynomials ------------------------------------------------------------ */
 
 enum { LOW = 4, HIGH = 6, KEPT = 3 };
 
@@ -210,12 +216,13 @@ typedef struct {
 
 /* What follows from the coupling and the system once and for all. */
 typedef struct {
+    int iterates;             /* hermite; else derivative */
     int highest, chooses, accelerates, max_iterations;
     double tolerance, accuracy;
     ptrdiff_t n_back;         /* links that are fed back: n = 2 n_back unknowns */
     const ptrdiff_t *back;
     double *work;             /* of work_size(L, n) numbers */
-} Hermite;
+} Plan;
 
 EXPORT size_t work_size(size_t L, size_t n) { return 14 * L + 6 * n + 2 * n * n; }
 
@@ -370,10 +377,10 @@ typedef struct {
 
 /* `attempt` of hermite.py: iterate until the ends that are fed back settle. The values and derivatives
    at the end are left in work + 10 L, and the Jacobian in `J`, which is the trial's own. */
-static int attempt(Loop *loop, const Hermite *hermite, const Memory *memory, double time, double end,
+static int attempt(Loop *loop, const Plan *plan, const Memory *memory, double time, double end,
                    double *J, Trial *trial) {
-    const ptrdiff_t L = loop->n_links, n = 2 * hermite->n_back;
-    double *predicted = hermite->work, *expected = predicted + 2 * L, *data = expected + 2 * L;
+    const ptrdiff_t L = loop->n_links, n = 2 * plan->n_back;
+    double *predicted = plan->work, *expected = predicted + 2 * L, *data = expected + 2 * L;
     double *new = data + 6 * L, *distance = new + 2 * L;
     double *z = distance + 2 * L, *r = z + n, *z_before = r + n, *r_before = z_before + n;
     double *scales = r_before + n, *change_of = scales + n, *A = change_of + n;
@@ -382,7 +389,7 @@ static int attempt(Loop *loop, const Hermite *hermite, const Memory *memory, dou
 
     trial->error = INFINITY;
     trial->order = LOW;
-    trial->next_order = hermite->highest;
+    trial->next_order = plan->highest;
     trial->length = h;
 
     /* opened(): extrapolated ends, and the matrix from the data to C */
@@ -402,16 +409,16 @@ static int attempt(Loop *loop, const Hermite *hermite, const Memory *memory, dou
     const double g = n_before ? time - memory->times[memory->n_times - 1 - back[0]] : 0.0;
     if (is_high) matched(h, g, M); else cubic(h, M, 4);
 
-    for (ptrdiff_t i = 0; i < hermite->n_back; i++) {
-        scales[i] = fabs(data[hermite->back[i]]) + loop->nominal[hermite->back[i]];
-        scales[hermite->n_back + i] = scales[i] / h;
+    for (ptrdiff_t i = 0; i < plan->n_back; i++) {
+        scales[i] = fabs(data[plan->back[i]]) + loop->nominal[plan->back[i]];
+        scales[plan->n_back + i] = scales[i] / h;
     }
     /* What an input's end does to an output grows with the step, to first order. */
     const double grown = memory->length > 0.0 ? h / memory->length : 1.0;
     for (ptrdiff_t i = 0; i < n * n; i++) J[i] = memory->J[i] * grown;
 
     int settled = 0;
-    for (int count = 1; count <= hermite->max_iterations && !settled; count++) {
+    for (int count = 1; count <= plan->max_iterations && !settled; count++) {
         if (count > 1 && restore(loop)) return UNUSUAL;
         for (int m = 0; m < loop->n_slaves; m++) {
             const Slave *slave = &loop->slaves[m];
@@ -438,14 +445,14 @@ static int attempt(Loop *loop, const Hermite *hermite, const Memory *memory, dou
         loop->passes++;
         double sum = 0.0;
         for (ptrdiff_t i = 0; i < n; i++) {
-            const ptrdiff_t k = hermite->back[i % hermite->n_back], row = i / hermite->n_back;
+            const ptrdiff_t k = plan->back[i % plan->n_back], row = i / plan->n_back;
             z[i] = data[(2 + row) * L + k] / scales[i];
             r[i] = (new[row * L + k] - data[(2 + row) * L + k]) / scales[i];
             sum += r[i] * r[i];
         }
         const double change = sqrt(sum);
         if (!isfinite(change)) return UNUSUAL;
-        if (hermite->accelerates && n && count > 1) {
+        if (plan->accelerates && n && count > 1) {
             /* Broyden's update: G moved by dz + dr while z moved by dz */
             double square = 0.0;
             for (ptrdiff_t i = 0; i < n; i++) square += (z[i] - z_before[i]) * (z[i] - z_before[i]);
@@ -462,12 +469,12 @@ static int attempt(Loop *loop, const Hermite *hermite, const Memory *memory, dou
         }
         memcpy(z_before, z, (size_t)n * sizeof *z);
         memcpy(r_before, r, (size_t)n * sizeof *r);
-        settled = change <= hermite->accuracy;
+        settled = change <= plan->accuracy;
         if (settled) break;
-        const int quasi = hermite->accelerates && n;
+        const int quasi = plan->accelerates && n;
         if (quasi) quasi_newton(J, r, n, A, change_of);
         for (ptrdiff_t i = 0; i < n; i++) {
-            const ptrdiff_t k = hermite->back[i % hermite->n_back], row = i / hermite->n_back;
+            const ptrdiff_t k = plan->back[i % plan->n_back], row = i / plan->n_back;
             data[(2 + row) * L + k] = quasi ? (z[i] + change_of[i]) * scales[i] : new[row * L + k];
         }
     }
@@ -493,7 +500,7 @@ static int attempt(Loop *loop, const Hermite *hermite, const Memory *memory, dou
     }
     const double low = relative(loop, distance, new);
     trial->error = low;
-    if (hermite->highest != HIGH || n_before < 2) return DONE;
+    if (plan->highest != HIGH || n_before < 2) return DONE;
     const double kk = time - memory->times[memory->n_times - 1 - back[1]];
     const double top = h * (h / 2.0 + g), bottom = hg * (h + kk);
     const double share = top * top / (16.0 * (bottom * bottom));
@@ -505,8 +512,8 @@ static int attempt(Loop *loop, const Hermite *hermite, const Memory *memory, dou
         distance[L + k] = quintic > residue ? quintic : residue;
     }
     const double high = relative(loop, distance + L, new);
-    if (hermite->chooses) {
-        const double a = low / hermite->tolerance, b = high / hermite->tolerance;
+    if (plan->chooses) {
+        const double a = low / plan->tolerance, b = high / plan->tolerance;
         trial->next_order = b == 0.0 || (a > 0.0 && LOW * log(b) < HIGH * log(a)) ? HIGH : LOW;
     }
     if (memory->order == HIGH) {
@@ -514,6 +521,68 @@ static int attempt(Loop *loop, const Hermite *hermite, const Memory *memory, dou
         trial->order = HIGH;
     }
     return DONE;
+}
+
+/* `_step` of derivative.py: inputs follow value and derivative at the start, and the cubic or the chord
+   between both ends where their source has stepped already. The new values and derivatives are left
+   where `attempt` leaves them. */
+static int extrapolated(Loop *loop, const Plan *plan, const Memory *memory, double time, double end,
+                        Trial *trial) {
+    const ptrdiff_t L = loop->n_links;
+    double *w = plan->work, *new = w + 10 * L, *distance = new + 2 * L;
+    const double h = end - time;
+    double M[16];
+    cubic(h, M, 4);
+    for (ptrdiff_t k = 0; k < L; k++) {
+        w[k] = memory->table[(KEPT - 1) * L + k];
+        w[L + k] = memory->table[(2 * KEPT - 1) * L + k];
+        loop->C[k] = w[k];
+        loop->C[L + k] = w[L + k];
+        loop->C[2 * L + k] = loop->C[3 * L + k] = 0.0;
+    }
+    for (int m = 0; m < loop->n_slaves; m++) {
+        const Slave *slave = &loop->slaves[m];
+        loop->which = m;
+        for (ptrdiff_t k = loop->columns[m]; k < loop->columns[m + 1]; k++) {
+            if (!slave->ahead[k]) continue;
+            w[2 * L + k] = loop->Y[loop->source[k]];
+            w[3 * L + k] = loop->Y[loop->source_derivative[k]];
+            if (slave->ahead[k] < 3) { loop->C[L + k] = (w[2 * L + k] - w[k]) / h; continue; }
+            for (int row = 0; row < 4; row++) {
+                double sum = 0.0;
+                for (int j = 0; j < 4; j++) sum += M[row * 4 + j] * w[j * L + k];
+                loop->C[row * L + k] = sum;
+            }
+        }
+        if (call_writes(loop, slave, slave->writes, slave->n_writes)) return REFUSED;
+        *slave->note = slave->step_note;
+        const int status = slave->step(slave->component, time, h, 1);
+        if (status > WARNING) return refused(loop, status, "fmi2DoStep");
+        if (call_reads(loop, slave)) return REFUSED;
+    }
+    loop->passes++;
+    for (ptrdiff_t k = 0; k < L; k++) {
+        new[k] = loop->Y[loop->source[k]];
+        new[L + k] = loop->Y[loop->source_derivative[k]];
+        distance[k] = fabs(w[k] + h * w[L + k] - new[k]);
+    }
+    trial->error = relative(loop, distance, new);
+    trial->order = 2;
+    trial->next_order = memory->order;
+    trial->length = memory->length;
+    return DONE;
+}
+
+/* Points.followed */
+static void follow(Memory *memory, double end, const double *new, ptrdiff_t L) {
+    if (memory->n_times == KEPT) memmove(memory->times, memory->times + 1, 2 * sizeof(double));
+    else memory->n_times++;
+    memory->times[memory->n_times - 1] = end;
+    for (int row = 0; row < 2; row++) {
+        double *points = memory->table + row * KEPT * L;
+        memmove(points, points + L, (KEPT - 1) * (size_t)L * sizeof(double));
+        memcpy(points + (KEPT - 1) * L, new + row * L, (size_t)L * sizeof(double));
+    }
 }
 
 static double end_of(double time, double length, double target) {
@@ -531,11 +600,11 @@ static double unit_in_the_last_place(double value) {
    included. `records_target`: whether the target is a communication point like others, or a jump
    follows that records it.
    On UNUSUAL the FMUs are where the step began, and Python makes it. */
-EXPORT int run_hermite(Loop *loop, const Hermite *hermite, Memory *memory, double *time, double target,
+EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *time, double target,
                        double horizon, long most, int records_target) {
-    const ptrdiff_t L = loop->n_links, n = 2 * hermite->n_back;
-    double *J = hermite->work + 14 * L + 6 * n + n * n;
-    const double *new = hermite->work + 10 * L;
+    const ptrdiff_t L = loop->n_links, n = 2 * plan->n_back;
+    double *J = plan->work + 14 * L + 6 * n + n * n;
+    const double *new = plan->work + 10 * L;
     while (*time < target) {
         if (loop->n_rows == loop->capacity || loop->steps + loop->rejected >= most) return FULL;
         loop->time = *time;
@@ -545,9 +614,10 @@ EXPORT int run_hermite(Loop *loop, const Hermite *hermite, Memory *memory, doubl
             end = end_of(*time, memory->step, target);
             const double length = end - *time;
             Trial trial;
-            int code = attempt(loop, hermite, memory, *time, end, J, &trial);
+            int code = plan->iterates ? attempt(loop, plan, memory, *time, end, J, &trial)
+                                         : extrapolated(loop, plan, memory, *time, end, &trial);
             if (code == DONE && !is_finite(loop)) code = UNUSUAL;
-            const double scaled = trial.error / hermite->tolerance;
+            const double scaled = trial.error / plan->tolerance;
             if (code == DONE && scaled <= 1.0) {
                 /* StepSize.accepted */
                 const double error = scaled > SMALLEST_ERROR ? scaled : SMALLEST_ERROR;
@@ -562,7 +632,7 @@ EXPORT int run_hermite(Loop *loop, const Hermite *hermite, Memory *memory, doubl
                 if (trial.error > loop->largest_error) loop->largest_error = trial.error;
                 memory->order = trial.next_order;
                 memory->length = trial.length;
-                memcpy(memory->J, J, (size_t)(n * n) * sizeof *J);
+                if (plan->iterates) memcpy(memory->J, J, (size_t)(n * n) * sizeof *J);
                 break;
             }
             if (restore(loop)) return REFUSED;
@@ -581,20 +651,42 @@ EXPORT int run_hermite(Loop *loop, const Hermite *hermite, Memory *memory, doubl
             memory->rejected = 1;
             loop->rejected++;
         }
-        /* Points.followed */
-        if (memory->n_times == KEPT) memmove(memory->times, memory->times + 1, 2 * sizeof(double));
-        else memory->n_times++;
-        memory->times[memory->n_times - 1] = end;
-        for (int row = 0; row < 2; row++) {
-            double *points = memory->table + row * KEPT * L;
-            memmove(points, points + L, (KEPT - 1) * (size_t)L * sizeof(double));
-            memcpy(points + (KEPT - 1) * L, new + row * L, (size_t)L * sizeof(double));
-        }
+        follow(memory, end, new, L);
         *time = end;
         if (end < target || records_target) {
             record(loop, end);
             loop->steps++;
         }
+    }
+    return DONE;
+}
+
+/* Steps of `derivative` from *time on to each of `count` points. `before`, (2, L): values and derivatives
+   of the links at the beginning; afterwards those at the end. */
+EXPORT int run_derivative(Loop *loop, const Plan *plan, Memory *memory, double *time,
+                          const double *points, long count, double *before) {
+    const ptrdiff_t L = loop->n_links;
+    const double *new = plan->work + 10 * L;
+    for (long k = 0; k < count; k++) {
+        if (loop->n_rows == loop->capacity) return FULL;
+        const double end = points[k], length = end - *time;
+        loop->time = *time;
+        Trial trial;
+        const int code = extrapolated(loop, plan, memory, *time, end, &trial);
+        if (code) return code;
+        follow(memory, end, new, L);
+        /* Watch of base.py: how far inputs were from where they were extrapolated to. */
+        for (ptrdiff_t i = 0; i < L; i++) {
+            const double change = (new[i] - before[i]) - length * before[L + i];
+            const double error = fabs(change) / (loop->nominal[i] + fabs(new[i]));
+            if (error > loop->largest_error) loop->largest_error = error;
+            before[i] = new[i];
+            before[L + i] = new[L + i];
+        }
+        if (!is_finite(loop)) return NOT_FINITE;
+        record(loop, end);
+        loop->steps++;
+        *time = end;
     }
     return DONE;
 }

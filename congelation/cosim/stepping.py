@@ -21,11 +21,12 @@ from congelation.cosim.compiled import (
     REFUSED,
     UNUSUAL,
     CompiledHeld,
-    CompiledHermite,
+    CompiledPolynomials,
     Loop,
     fits,
 )
 from congelation.cosim.coupling import AdaptiveStepper, Coupling, Stepper, Trial
+from congelation.cosim.coupling.derivative import DerivativeStepper
 from congelation.cosim.coupling.held import GaussSeidelStepper, JacobiStepper
 from congelation.cosim.coupling.hermite import HermiteStepper
 from congelation.cosim.ensemble import Ensemble
@@ -336,58 +337,86 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
         Communication points after the start, in seconds. A jump within `near` of one is taken to
         lie on it.
     """
-    start, near = session.start, points.near
-    advance, record = session.stepper.advance, session.record
-    event = session.next_event(start)
-    time = start
-    if _run_held(session, points):
-        return
-    for end in points:
-        while event <= end + near:
-            before = min(just_before(event), end)
-            after = max(event, end) if abs(end - event) <= near else event
-            if before > time:
-                state = advance(state, time, before)
-            else:
-                before = time
-            state = session.cross(state, before, after)
-            time = after
-            event = session.next_event(time)
-        if time < end:
-            # In double precision time + (end - time) is end, so the slaves' own times do not
-            # drift from the grid.
-            state = advance(state, time, end)
-            record(end)
-            time = end
-
-
-def _run_held(session: Session, points: Grid | GivenPoints) -> bool:
-    """Make all steps by the compiled loop, where it can: those of `jacobi` and `gauss_seidel`.
-
-    Returns
-    -------
-    bool
-        Whether it did.
-    """
-    stepper, ensemble, rows = session.stepper, session.ensemble, session.rows
-    if not (isinstance(stepper, JacobiStepper | GaussSeidelStepper) and fits(ensemble, rows)):
-        return False
-    compiled = CompiledHeld(ensemble, rows, sequential=stepper.sequential)
+    near, advance, record = points.near, session.stepper.advance, session.record
+    event = session.next_event(session.start)
+    compiled = _compiled_fixed(session)
     time, k = session.start, 0
     while len(ends := points.after(k, session.most)):
-        code, made = compiled.run(time, ends)
-        if made:
-            time = float(ends[made - 1])
-        k += made
-        session.took(compiled.loop, time)
-        if code == REFUSED:
-            compiled.refuse()
-        if code == NOT_FINITE:
-            # Python says which value it is.
-            time = float(ends[made])
+        if compiled is not None:
+            # Up to the point that a jump comes before.
+            until = int(np.searchsorted(ends + near, event))
+            state, made = _made(session, compiled, state, time, ends[:until])
+            k += made
+            if made:
+                time = float(ends[made - 1])
+            if made == until < len(ends):
+                ends = ends[made : made + 1]
+            else:
+                continue
+        for end in ends.tolist():
             k += 1
-            session.record(time)
-    return True
+            while event <= end + near:
+                before = min(just_before(event), end)
+                after = max(event, end) if abs(end - event) <= near else event
+                if before > time:
+                    state = advance(state, time, before)
+                else:
+                    before = time
+                state = session.cross(state, before, after)
+                time = after
+                event = session.next_event(time)
+            if time < end:
+                # In double precision time + (end - time) is end, so the slaves' own times do not
+                # drift from the grid.
+                state = advance(state, time, end)
+                record(end)
+                time = end
+
+
+def _compiled_fixed(session: Session) -> CompiledHeld | CompiledPolynomials | None:
+    """The compiled loop for fixed steps, if this is a run that it makes."""
+    stepper, ensemble, rows = session.stepper, session.ensemble, session.rows
+    if not fits(ensemble, rows):
+        return None
+    if isinstance(stepper, JacobiStepper | GaussSeidelStepper):
+        return CompiledHeld(ensemble, rows, sequential=stepper.sequential)
+    if isinstance(stepper, DerivativeStepper) and (ahead := stepper.plan()) is not None:
+        horizon = session.stop - session.start
+        return CompiledPolynomials(ensemble, rows, ahead, 1.0, horizon)
+    return None
+
+
+def _made(
+    session: Session,
+    compiled: CompiledHeld | CompiledPolynomials,
+    state: Any,
+    time: float,
+    ends: Floats,
+) -> tuple[Any, int]:
+    """The state after steps by the compiled loop, and how many it made, up to all of `ends`.
+
+    Raises
+    ------
+    RunEnded, SlaveError, SlaveTerminated
+        What ended the run; Python says which value it is, or what an FMU has said.
+    """
+    if not len(ends):
+        return state, 0
+    if isinstance(compiled, CompiledHeld):
+        code = compiled.run(time, ends)
+    else:
+        code, state = compiled.fixed(state, time, ends)
+    made = compiled.loop.steps
+    at = float(ends[made - 1]) if made else time
+    if made and isinstance(session.stepper, DerivativeStepper):
+        session.stepper.watch.passed(at, state.now)
+    session.took(compiled.loop, at)
+    if code == REFUSED:
+        compiled.refuse()
+    if code == NOT_FINITE:
+        session.record(float(ends[made]))
+        made += 1
+    return state, made
 
 
 def run_adaptive(
@@ -415,13 +444,13 @@ def run_adaptive(
     guess = min(stepper.first_step(state), FIRST_SHARE * horizon)
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
-    compiled = _compiled_hermite(session, tolerance)
+    compiled = _compiled_adaptive(session, tolerance)
     while time < session.stop:
         event = session.next_event(time)
         target = min(session.stop, just_before(event))
         while time < target:
             if compiled is not None:
-                code, state, size, time = compiled.run(
+                code, state, size, time = compiled.adaptive(
                     state,
                     size,
                     time,
@@ -467,16 +496,18 @@ def run_adaptive(
             size = size.restarted(min(size.length, stepper.first_step(state)))
 
 
-def _compiled_hermite(session: Session, tolerance: float) -> CompiledHermite | None:
-    """The compiled loop for `hermite`, if this is a run that it makes."""
+def _compiled_adaptive(session: Session, tolerance: float) -> CompiledPolynomials | None:
+    """The compiled loop for steps chosen by a tolerance, if this is a run that it makes."""
     stepper, rows = session.stepper, session.rows
-    if not (isinstance(stepper, HermiteStepper) and fits(session.ensemble, rows)):
+    if not (
+        isinstance(stepper, HermiteStepper | DerivativeStepper) and fits(session.ensemble, rows)
+    ):
         return None
     plan = stepper.plan()
     if plan is None:
         return None
     horizon = session.stop - session.start
-    return CompiledHermite(session.ensemble, rows, plan, tolerance, horizon)
+    return CompiledPolynomials(session.ensemble, rows, plan, tolerance, horizon)
 
 
 def _end(time: float, length: float, target: float) -> float:

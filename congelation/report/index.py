@@ -13,14 +13,9 @@ from pathlib import Path
 from urllib.parse import quote
 
 from congelation.errors import InvalidInput
+from congelation.report.page import plain_page
 
 __all__ = ["write_index"]
-
-_STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; color: #222; max-width: 60rem; margin: 2rem auto;
-       padding: 0 1rem; }
-img { width: 14rem; height: auto; margin: 0.5rem; border: 1px solid #ddd; }
-"""
 
 
 def write_index(folder: Path) -> Path:
@@ -35,14 +30,12 @@ def write_index(folder: Path) -> Path:
     if not found:
         raise InvalidInput(f"{folder}: no result directory in it; `congelation run` makes one")
     file = folder / "index.html"
-    file.write_text("\n".join(_page(folder, found)), "utf-8")
+    file.write_text(plain_page("Results", _page(folder, found)), "utf-8")
     return file
 
 
 def _page(folder: Path, directories: list[Path]) -> Iterator[str]:
-    yield '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">'
-    yield '<meta name="viewport" content="width=device-width, initial-scale=1">'
-    yield f"<title>Results</title>\n<style>{_STYLE}</style>\n</head>\n<body>\n<h1>Results</h1>"
+    yield "<main><h1>Results</h1>"
     for directory in directories:
         # Links are relative, so that the folder can be moved or sent as a whole.
         base = directory.relative_to(folder)
@@ -55,12 +48,13 @@ def _page(folder: Path, directories: list[Path]) -> Iterator[str]:
         for name in ("report.html", "runs.parquet"):
             if (directory / name).is_file():
                 yield f'<a href="{quote((base / name).as_posix())}">{name}</a>'
-        yield "</p>"
+        yield '</p><p class="thumbs">'
         for figure in sorted((directory / "figures").glob("*.png")):
             link = quote((base / "figures" / figure.name).as_posix())
             alt = escape(figure.stem, quote=True)
             yield f'<a href="{link}"><img src="{link}" alt="{alt}" title="{alt}"></a>'
-    yield "</body>\n</html>\n"
+        yield "</p>"
+    yield "</main>"
 
 
 if __name__ == "__main__":

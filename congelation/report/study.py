@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from congelation.report.curves import curve_panels, draw_panels
 from congelation.report.page import Drawn, swatch, table
 from congelation.report.summary import number, summarise
-from congelation.report.verdict import axes_of, settled
+from congelation.report.verdict import FEW, axes_of, settled
 from congelation.results.record import RunRecord, Study
 from congelation.results.results import Results
 
@@ -27,7 +27,6 @@ LARGEST = 20_000
 """Runs of which the page has a row each; of a larger study it takes every k-th."""
 
 _HEIGHT = 380  # pixels
-_FEW = 12  # values of an axis that a table of counts has columns for
 
 
 def study_content(
@@ -144,7 +143,7 @@ def _counts(
     done = "settle" if timed else "reach their stop time"
     names = _short_names(axes)
     for name, values in axes.items():
-        if not 1 < len(values) <= _FEW:
+        if not 1 < len(values) <= FEW:
             continue
         lines = []
         for variant in variants:

@@ -10,7 +10,11 @@ from typing import Any
 from congelation.report.summary import number
 from congelation.results.record import RunRecord, Study
 
-__all__ = ["axes_of", "prices", "run_verdict", "settled", "study_verdict", "tiles"]
+__all__ = ["FEW", "axes_of", "prices", "run_verdict", "settled", "study_verdict", "tiles"]
+
+
+FEW = 12
+"""Values of an axis up to which runs are counted at each of them; a random axis has more."""
 
 
 def settled(study: Study, run: RunRecord) -> bool:
@@ -124,7 +128,7 @@ def study_verdict(study: Study) -> Iterator[str]:
     axes = {
         name: values
         for name, values in axes_of(study).items()
-        if len(values) > 1 and all(isinstance(v, int | float) for v in values)
+        if 1 < len(values) <= FEW and all(isinstance(v, int | float) for v in values)
     }
     for variant, runs in variants.items():
         good = [run for run in runs if settled(study, run)]

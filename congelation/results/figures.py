@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import logging
 import math
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,13 +32,14 @@ if TYPE_CHECKING:  # Matplotlib takes half a second, which only commands that dr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "SETTINGS", "draw", "draw_panels", "first_scale", "save", "thin"]
+__all__ = ["FORMATS", "SETTINGS", "WIDTH", "draw", "draw_panels", "first_scale", "save", "thin"]
 
 Array = npt.NDArray[np.float64]
 Places = npt.NDArray[np.intp]
 _Style = Literal["-"] | tuple[float, Sequence[float]]
 
-FORMATS = ("pdf", "png")
+FORMATS = ("pdf", "png", "svg")
+_DATED = {"pdf": "CreationDate", "png": "Software", "svg": "Date"}  # what differs between runs
 
 # M. Okabe and K. Ito, Color Universal Design, 2008: told apart under every common colour vision.
 _COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -48,13 +50,16 @@ _STYLES: tuple[_Style, ...] = (
     (0.0, (1.0, 1.6)),
     (0.0, (6.4, 1.6, 1.0, 1.6)),
 )
-_WIDTH = 3.5  # inches: a column of the IEEE format
+WIDTH = 3.5
+"""Inches: a column of the IEEE format."""
+
 _PANEL_HEIGHT = 1.25  # inches
 _MARGIN_HEIGHT = 0.75  # inches: the legend above, the time axis below
 _RESOLUTION = 300  # dots per inch of the PNG files
 _BINS = 1500  # a column of print at 300 dpi has about 1000 dots; each bin keeps its extremes
 _SYMLOG_RATIO = 30.0  # curves this far apart in peak cannot share a linear axis
 _SYMLOG_FLOOR = 0.1  # the linear part reaches to this fraction of the smallest curve's peak
+_COMMAND = re.compile(r"\\[A-Za-z]+|[_^{}]")  # of mathtext: a letter at most
 _NORM_RANGE = 1e-5  # of the peak: what is below is at rest for every purpose
 SETTINGS: dict[Any, Any] = {
     "font.size": 8,
@@ -96,7 +101,10 @@ class _Curve:
 
 
 def draw(
-    study: Study, runs: Sequence[tuple[RunRecord, Trajectory]], name: str | None = None
+    study: Study,
+    runs: Sequence[tuple[RunRecord, Trajectory]],
+    name: str | None = None,
+    width: float = WIDTH,
 ) -> Figure:
     """The figure called `name`, by default the first that the study defines.
 
@@ -110,15 +118,19 @@ def draw(
     if chosen not in figures:
         raise InvalidInput(f"there is no figure '{chosen}'; {nearest(chosen, figures)}")
     span = figures[chosen]["span"]
-    return draw_panels(runs, figures[chosen]["panels"], span or (-math.inf, math.inf))
+    return draw_panels(runs, figures[chosen]["panels"], span or (-math.inf, math.inf), width)
 
 
 def draw_panels(
     runs: Sequence[tuple[RunRecord, Trajectory]],
     panels: Sequence[str],
     span: tuple[float, float] = (-math.inf, math.inf),
+    width: float = WIDTH,
 ) -> Figure:
-    """Panels above each other, one per group of variables, over a part of the time axis."""
+    """Panels above each other, one per group of variables, over a part of the time axis.
+
+    `width` is that of the figure in inches.
+    """
     import matplotlib as mpl
 
     shown = [
@@ -126,19 +138,24 @@ def draw_panels(
         for r, trajectory in runs
     ]
     with mpl.rc_context(SETTINGS):
-        return _draw([run for run in shown if len(run.trajectory.time)], panels)
+        return _draw([run for run in shown if len(run.trajectory.time)], panels, width)
 
 
-def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:
-    """Write a figure as PDF and PNG; returns the files."""
+def save(
+    figure: Figure, folder: Path, name: str, formats: Sequence[str] = ("pdf", "png")
+) -> tuple[Path, ...]:
+    """Write a figure in some of `FORMATS`; returns the files.
+
+    PDF embeds its fonts as TrueType; SVG draws letters as paths, which need no font.
+    """
     import matplotlib as mpl
 
     # It warns of the dates in Matplotlib's own fonts, which nobody here can mend.
     logging.getLogger("fontTools").setLevel(logging.ERROR)
-    files = tuple(folder / f"{name}.{suffix}" for suffix in FORMATS)
+    files = tuple(folder / f"{name}.{suffix}" for suffix in formats)
     with mpl.rc_context(SETTINGS):
-        for file, suffix in zip(files, FORMATS, strict=True):
-            metadata = {"CreationDate": None} if suffix == "pdf" else {"Software": None}
+        for file, suffix in zip(files, formats, strict=True):
+            metadata = {_DATED[suffix]: None}  # the same figure is the same file
 
             def write(temporary: Path, suffix: str = suffix, about: object = metadata) -> None:
                 figure.savefig(temporary, format=suffix, dpi=_RESOLUTION, metadata=about)
@@ -147,13 +164,13 @@ def save(figure: Figure, folder: Path, name: str) -> tuple[Path, ...]:
     return files
 
 
-def _draw(runs: Sequence[_Run], panels: Sequence[str]) -> Figure:
+def _draw(runs: Sequence[_Run], panels: Sequence[str], width: float) -> Figure:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
     variants = [run.variant for run in runs]
     figure = Figure(
-        figsize=(_WIDTH, _MARGIN_HEIGHT + _PANEL_HEIGHT * len(panels)), layout="constrained"
+        figsize=(width, _MARGIN_HEIGHT + _PANEL_HEIGHT * len(panels)), layout="constrained"
     )
     axes = figure.subplots(len(panels), 1, sharex=True, squeeze=False)[:, 0]
     drawn: set[str] = set()
@@ -171,7 +188,8 @@ def _draw(runs: Sequence[_Run], panels: Sequence[str]) -> Figure:
         handles = [
             Line2D([], [], color="black", linestyle=_style(variants, v), label=v) for v in variants
         ]
-        figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False)
+        columns = min(2, _columns(variants, width))
+        figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False)
     figure.align_ylabels()
     return figure
 
@@ -263,11 +281,25 @@ def _panel(axis: Axes, panel: str, curves: Sequence[_Curve], variants: Sequence[
         handles=handles,
         loc="lower right",
         bbox_to_anchor=(1.0, 0.98),  # above the panel, where it hides no curve
-        ncols=len(handles),
+        ncols=_columns(
+            [str(handle.get_label()) for handle in handles],
+            axis.figure.bbox.width / axis.figure.dpi,
+        ),
         frameon=False,
         handlelength=1.0,
         borderpad=0.0,
     )
+
+
+def _columns(labels: Sequence[str], width: float) -> int:
+    """How many entries of a legend stand beside each other in a figure `width` inches wide.
+
+    A letter of the legend's 7 points is 0.6 of that wide at most on average; each entry has a line
+    and gaps that take as much as six letters. The axes are about 0.8 of the figure.
+    """
+    longest = max(len(_COMMAND.sub("x", label).replace("$", "")) for label in labels)
+    entry = (longest + 6) * 0.6 * 7.0 / 72.0
+    return max(1, min(len(labels), int(0.8 * width / entry)))
 
 
 def _logarithmic(axis: Axes, curves: Sequence[_Curve]) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import InvalidInput, nearest
-from congelation.results.figures import draw, draw_panels
+from congelation.results.figures import WIDTH, draw, draw_panels
 from congelation.results.record import GROUPS, RunRecord, Study, Trajectory
 from congelation.results.store import Store
 
@@ -201,7 +201,7 @@ class Results:
             return ()
         return tuple(str(figure["name"]) for figure in study.about["figures"])
 
-    def plot(self, name: str | None = None) -> Figure:
+    def plot(self, name: str | None = None, width: float = WIDTH) -> Figure:
         """A figure of the newest study, as Matplotlib's object.
 
         Parameters
@@ -209,6 +209,8 @@ class Results:
         name : str, optional
             One of the figures that the scenario defines; by default the first. A scenario
             without figures gets one panel per recorded variable.
+        width : float, optional
+            Of the figure, in inches; by default a column of a journal.
 
         Raises
         ------
@@ -224,8 +226,8 @@ class Results:
         runs = [(record, self.store.trajectory(record.run_id)) for record in kept]
         if name is None and not study.about["figures"]:
             panels = dict.fromkeys(c.partition("[")[0] for c in runs[0][1].columns)
-            return draw_panels(runs, tuple(panels))
-        return draw(study, runs, name)
+            return draw_panels(runs, tuple(panels), width=width)
+        return draw(study, runs, name, width)
 
     def __repr__(self) -> str:
         title = self.about.get("title", "") if self.store.database.is_file() else ""

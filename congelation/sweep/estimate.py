@@ -104,7 +104,7 @@ def _measure(workers: Workers, task: Task) -> Finished:
     while True:
         for event in workers.events():
             if isinstance(event, Lost):
-                raise CongelationError(f"of a pilot run: {event.outcome.message}")
+                raise CongelationError(f"a pilot run failed: {event.outcome.message}")
             if isinstance(event, Finished):
                 return event
             if not isinstance(event, Progress):

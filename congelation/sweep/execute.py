@@ -188,6 +188,11 @@ def _simulated(
     metrics = measure(scenario.metrics, measured_case, points.with_rows(kept) if apart else kept)
     margins = [metrics[m.name] for m in scenario.metrics if m.metric == "lyapunov"]
     deviations = compare(expected, kept) if expected is not None else ()
+    if margins and job.trajectories:
+        from congelation.verify.lyapunov import CERTIFICATE, with_certificate  # as above
+
+        if CERTIFICATE not in found:  # a component may have the name
+            kept = with_certificate(measured_case, kept)
     return replace(
         _outcome(result),
         metrics=metrics,

@@ -218,7 +218,9 @@ class Local(Workers):
                 batch.timed_out = True
                 batch.future.cancel()  # ends the process, whatever it does
         if self._failed_starts > FAILED_STARTS * self.size:
-            raise CongelationError("worker processes end before they begin a run; see above")
+            raise CongelationError(
+                "the worker processes end before they begin a run; what they wrote above says why"
+            )
         if self._batches and not self._pool.active:  # a process died in between two tasks
             for number in list(self._batches):
                 found += map(Unfinished, self._dropped(number))

@@ -14,16 +14,30 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import InvalidInput
+from congelation.results.record import Trajectory
 from congelation.scenario.parts import Case
 from congelation.verify.certify import certificate_of
 from congelation.verify.reference import Reference, reference
 
-__all__ = ["MOST_INTEGRATED", "MOST_ROWS", "Along", "along", "center", "loop_states", "radii"]
+__all__ = [
+    "CERTIFICATE",
+    "MOST_INTEGRATED",
+    "MOST_ROWS",
+    "Along",
+    "along",
+    "center",
+    "loop_states",
+    "radii",
+    "with_certificate",
+]
 
 Floats = npt.NDArray[np.float64]
 
 MOST_ROWS = 1000
 """Rows at which the certificate is evaluated: it takes 20 us at each, a run has 100,000."""
+
+CERTIFICATE = "certificate"
+"""What the columns of the certificate begin with."""
 
 MOST_INTEGRATED = 50_000
 """The same for integrals, in which what lies between two rows counts."""
@@ -42,6 +56,8 @@ class Along:
     margin : ndarray, shape (K,)
         The largest V' that the radii allow plus the claimed rate of decay, relative to the sum of
         the magnitudes of their terms: positive, beyond rounding, where the claim fails.
+    rate : ndarray, shape (K,)
+        The largest V' that the radii allow.
     claimed, residue : ndarray, shape (K,)
         The claimed rate of decay, and what V' may exceed it by.
     """
@@ -49,6 +65,7 @@ class Along:
     time: Floats
     V: Floats
     margin: Floats
+    rate: Floats
     claimed: Floats
     residue: Floats
 
@@ -106,9 +123,29 @@ def along(
         time[rows],
         np.array([margin.V for margin in margins]),
         np.array([margin.relative for margin in margins]),
+        np.array([margin.rate for margin in margins]),
         np.array([margin.claimed for margin in margins]),
         np.array([margin.residue for margin in margins]),
     )
+
+
+def with_certificate(case: Case, run: Trajectory) -> Trajectory:
+    """A run with the columns ``certificate.V``, ``certificate.rate`` and ``certificate.bound``.
+
+    The Lyapunov function, the largest V' that the radii allow, and what the certificate says that
+    it is at most: minus the claimed rate, plus the residue.
+
+    Raises
+    ------
+    InvalidInput
+        If the system is no loop of a plant and its controller, both from `congelation build`.
+    """
+    found = along(case, run.time, run.columns, run.values, len(run.time))
+    added = {"V": found.V, "rate": found.rate, "bound": found.residue - found.claimed}
+    names = tuple(f"{CERTIFICATE}.{name}" for name in added)
+    values = np.column_stack([run.values, *added.values()])
+    units = dict(run.units) | dict.fromkeys(names, "")
+    return Trajectory(run.time, (*run.columns, *names), values, units)
 
 
 def center(found: Reference) -> Floats:

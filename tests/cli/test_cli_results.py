@@ -178,3 +178,8 @@ def test_a_file_is_no_result_directory(tmp_path: Path) -> None:
 def test_tables_are_aligned_and_not_cut() -> None:
     assert aligned(["a", "long"], [["x" * 90, "1"]]).splitlines()[1] == "x" * 90 + "  1"
     assert aligned(["a", "b"], [["xyz", "1"]]).splitlines()[0] == "a    b"
+
+
+def test_figures_take_formats_and_a_width(out: Path, tmp_path: Path) -> None:
+    for option, text in (("--format", "gif"), ("--width", "5"), ("--width", "1mm")):
+        assert f"{option} {text}: give" in one_line(congelation("report", out, option, text), 2)

@@ -89,7 +89,7 @@ def test_a_pilot_that_hangs_is_ended(tmp_path: Path) -> None:
     done = process("sweep", file, "--out", tmp_path / "out", "--dry-run", env=environment(tmp_path))
     assert done.returncode == 0, done.stderr
     last = done.stdout.splitlines()[-1]
-    assert last.startswith("no estimate: of a pilot run: The run took longer than 1 s")
+    assert last.startswith("no estimate: a pilot run failed: The run took longer than 1 s")
     assert not (tmp_path / "out").exists()
 
 
@@ -99,7 +99,7 @@ def test_a_pilot_that_takes_too_long_is_ended(tmp_path: Path) -> None:
     done = sweep(file, tmp_path / "out", "--dry-run")
     assert done.returncode == 0, done.stderr
     last = done.stdout.splitlines()[-1]
-    assert last.startswith("no estimate: of a pilot run: The run took longer than 0.3 s")
+    assert last.startswith("no estimate: a pilot run failed: The run took longer than 0.3 s")
 
 
 def test_a_long_run_is_ended_between_its_steps(tmp_path: Path) -> None:

@@ -153,6 +153,22 @@ def test_interrupt_while_starting_shows_no_traceback(correct: Path) -> None:
     assert "Traceback" not in output + error
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pseudo-terminals")
+def test_findings_go_to_a_file_while_the_bar_is_on_the_terminal(
+    correct: Path, tmp_path: Path
+) -> None:
+    terminal, end = os.openpty()
+    with (tmp_path / "findings").open("w") as file:
+        command = [sys.executable, "-m", "congelation", "check", str(correct), "--static"]
+        code = subprocess.run(command, stdout=file, stderr=end, check=False).returncode
+    os.close(end)
+    os.close(terminal)
+    assert code == 0
+    scope, counts = (tmp_path / "findings").read_text().splitlines()
+    assert "static rules only: as asked for" in scope
+    assert "0 violation" in counts
+
+
 def run_pytest(folder: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
     """pytest in a process of its own, with this plugin alone."""
     root = Path(__file__).parents[2]

@@ -6,7 +6,8 @@ import json
 import re
 import xml.etree.ElementTree as ElementTree
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import lag
@@ -19,9 +20,10 @@ from congelation.conformance.checker import Checker
 from congelation.conformance.description import Unreadable, default_initial, read_description
 from congelation.conformance.finding import Report
 from congelation.conformance.report import to_json, to_junit, to_lines, to_table
-from congelation.conformance.rule import BY_ID, DynamicRule, Level, Outcome
+from congelation.conformance.rule import BY_ID, DynamicRule, Level, Outcome, StaticRule
 from congelation.conformance.rules import RULES
 from congelation.conformance.runner import check, select
+from congelation.conformance.subject import Subject
 from congelation.errors import InvalidInput
 
 Library = Callable[[str], bytes]
@@ -261,6 +263,23 @@ def test_select_takes_ids_and_families() -> None:
 def test_run_wants_files(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="there is no FMU at"):
         check([tmp_path / "missing.fmu"])
+
+
+def test_folder_that_is_no_fmu_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidInput, match=r"is no unpacked FMU: it has no modelDescription\.xml"):
+        check([tmp_path])
+
+
+def test_defect_of_a_rule_is_none_of_the_fmu(correct: Path) -> None:
+    def broken(subject: Subject) -> Iterator[str]:
+        raise ZeroDivisionError("division by zero")
+
+    rule = BY_ID["FMI2-PACK-02"]
+    assert isinstance(rule, StaticRule)
+    with Checker(correct, static=True) as checker:
+        verdict = checker.check(replace(rule, look=broken))
+    assert verdict.outcome is Outcome.NOT_EVALUATED
+    assert "the check itself failed (ZeroDivisionError: division by zero)" in verdict.reason
 
 
 def test_rules_are_complete() -> None:

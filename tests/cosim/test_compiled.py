@@ -48,7 +48,9 @@ def test_scenarios(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
         shortened = replace(case.experiment, stop_time=min(case.experiment.stop_time, 1.0))
         if shortened.tolerance is not None:
             assert_equal(*both(monkeypatch, case.system, shortened))
-        for coupling in ("jacobi", "gauss_seidel"):
+            changed = replace(shortened, coupling="derivative", tolerance=1e-4)
+            assert_equal(*both(monkeypatch, case.system, changed))
+        for coupling in ("jacobi", "gauss_seidel", "derivative"):
             held = replace(shortened, coupling=coupling, **HELD)
             assert_equal(*both(monkeypatch, case.system, held))
 

@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from congelation.errors import InvalidInput
-from congelation.results.figures import save
-from tests.report.stored import stored, stored_failures, trajectory
+from congelation.results.figures import draw_panels, save
+from congelation.results.record import Trajectory
+from tests.report.stored import record, stored, stored_failures, trajectory
 
 
 @pytest.fixture
@@ -106,3 +107,32 @@ def test_names(tmp_path: Path) -> None:
     assert len(store.plot().axes) == 4  # the first one
     with pytest.raises(InvalidInput, match=r"there is no figure 'lopo'; did you mean 'loop'\?"):
         store.plot("lopo")
+
+
+def test_figures_have_the_width_and_formats_asked_for(tmp_path: Path) -> None:
+    store = stored(tmp_path)
+    figure = store.plot("loop", width=5.0)
+    files = save(figure, tmp_path / "out", "loop", ("svg", "pdf"))
+    assert [file.suffix for file in files] == [".svg", ".pdf"]
+    svg = files[0].read_text()
+    assert 'width="360pt"' in svg  # 5 in
+    assert "<dc:date>" not in svg
+    assert b"/Type3" not in files[1].read_bytes()
+
+
+@pytest.mark.parametrize("width", [2.5, 3.5, 7.0])
+def test_legends_are_not_clipped(tmp_path: Path, width: float) -> None:
+    """Five parameters, each with a unit of its own, in a legend above its panel."""
+    columns = tuple(f"controller.theta_hat[{k}]" for k in range(1, 6))
+    units = dict(zip(columns, ("rad/s2", "1/s", "N.m/rad", "kg.m2", "m/s2"), strict=True))
+    t = np.linspace(0.0, 1.0, 50)
+    run = Trajectory(t, columns, np.outer(t, np.arange(1.0, 6.0)), units)
+    figure = draw_panels([(record("r1", 1), run)], ["controller.theta_hat"], width=width)
+    figure.draw_without_rendering()
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        assert legend is not None
+        box = legend.get_window_extent()
+        assert box.x0 >= 0.0
+        assert box.x1 <= figure.bbox.x1
+        assert box.y1 <= figure.bbox.y1

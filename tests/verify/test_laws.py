@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import congelation as cg
@@ -104,6 +105,13 @@ def test_tracking_keeps_to_its_bound_along_a_run(tmp_path: Path) -> None:
         else:
             assert run.metrics["margin"] < 1e-9
             assert run.metrics["share"] < 1.0
+            trajectory = results.trajectory(run.run_id)
+            assert trajectory.columns[-3:] == tuple(
+                f"certificate.{v}" for v in ("V", "rate", "bound")
+            )
+            V, rate, bound = trajectory.values[:, -3:].T
+            assert np.all(V > 0)
+            assert np.all(rate <= bound + 1e-6 * np.abs(bound))
 
 
 def test_a_scenario_with_a_reference_is_certified(tmp_path: Path) -> None:

@@ -205,6 +205,12 @@ class Watch:
         row: Floats = self._rows[count]
         return row
 
+    def passed(self, time: float, row: Floats) -> None:
+        """Go on from here: the steps up to `time` have been looked at elsewhere."""
+        self._evaluate()
+        self._times = [time]
+        self._rows[0] = row
+
     def largest(self) -> float:
         """Relative to the link's nominal value plus its size."""
         self._evaluate()

@@ -11,13 +11,13 @@ import numpy.typing as npt
 
 from congelation.cosim.coupling.base import AdaptiveStepper, Coupling, Trial, Watch
 from congelation.cosim.coupling.points import LinkReader, Points
-from congelation.cosim.coupling.polynomial import hermite
+from congelation.cosim.coupling.polynomial import hermite, product
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 
-__all__ = ["Derivative"]
+__all__ = ["Derivative", "DerivativeStepper"]
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -78,10 +78,12 @@ class Derivative(Coupling):
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
     ) -> AdaptiveStepper[Points]:
         """This coupling at work."""
-        return _DerivativeStepper(ensemble, exchange, self, takes_back=tolerance is not None)
+        return DerivativeStepper(ensemble, exchange, self, takes_back=tolerance is not None)
 
 
-class _DerivativeStepper(AdaptiveStepper[Points]):
+class DerivativeStepper(AdaptiveStepper[Points]):
+    """`derivative` at work."""
+
     def __init__(
         self, ensemble: Ensemble, exchange: Exchange, coupling: Derivative, *, takes_back: bool
     ) -> None:
@@ -102,7 +104,7 @@ class _DerivativeStepper(AdaptiveStepper[Points]):
         ]
         self.order = ORDER
         self.halves = self._has_held or bool(self._reader.inexact.size)
-        self._watch = Watch(ensemble.nominal, extrapolated=True)
+        self.watch = Watch(ensemble.nominal, extrapolated=True)
         self.iterations = 0
         self.calls_per_iteration = (
             sum(ensemble.write_calls)
@@ -110,6 +112,20 @@ class _DerivativeStepper(AdaptiveStepper[Points]):
             + sum(ensemble.read_calls)
             + 2 * sum(self._reaches_end)
         )
+
+    def plan(self) -> npt.NDArray[np.uint8] | None:
+        """The same as data, shape (slaves, L): of each link the highest derivative that its input
+        takes, where its source steps before its target, that slave; else 0. None where the compiled
+        loop does not do it."""
+        if self.halves or self._exchanges or any(self._reaches_end) or not self._sequential:
+            return None
+        links, order = self._ensemble.links, self._ensemble.order
+        slaves = range(len(self._ensemble.slaves))
+        ahead = [
+            [order[k] if link.source < link.target == m else 0 for k, link in enumerate(links)]
+            for m in slaves
+        ]
+        return np.array(ahead, np.uint8).reshape(len(slaves), len(links))
 
     def _interpolated(self, m: int) -> tuple[Mask | None, Mask | None, Mask | None] | None:
         """The links into slave m that can be interpolated, as their sources have stepped already:
@@ -129,12 +145,12 @@ class _DerivativeStepper(AdaptiveStepper[Points]):
     def start(self, time: float, before: Points | None) -> Points:
         state = Points.begun(time, self._reader.start())
         if self._watches:  # otherwise each trial has an error of its own
-            self._watch.row(time)[:] = state.now
+            self.watch.row(time)[:] = state.now
         return state
 
     def advance(self, state: Points, time: float, end: float) -> Points:
         state, _ = self._step(state, time, end)
-        self._watch.row(end)[:] = state.now
+        self.watch.row(end)[:] = state.now
         self._ensemble.copy_discrete()
         return state
 
@@ -169,7 +185,7 @@ class _DerivativeStepper(AdaptiveStepper[Points]):
                 w[2:] = reader.end(state, end, w)
                 cubic, linear, held = ahead
                 if cubic is not None:
-                    np.copyto(C, hermite(length).dot(w), where=cubic)
+                    np.copyto(C, product(hermite(length), w), where=cubic)
                 if linear is not None:
                     np.copyto(C[1], (w[2] - w[0]) / length, where=linear)
                 if held is not None:
@@ -197,4 +213,4 @@ class _DerivativeStepper(AdaptiveStepper[Points]):
         return self._reader.time_scale(state.now) * FIRST_CHANGE
 
     def largest_error(self) -> float:
-        return self._watch.largest()
+        return self.watch.largest()
