@@ -56,8 +56,10 @@ def _run_page(results: Results, study: Study) -> str:
     pieces: list[str | Drawn] = [*_head(study, run_verdict(study, peaks)), *_tiles(study, peaks)]
     pieces.append("<h2>Trajectories</h2>")
     if plots:
-        times = [curve.time for panel in panels for curve in panel.curves]
-        start, stop = min(float(t[0]) for t in times), max(float(t[-1]) for t in times)
+        # A curve without a finite value has no points.
+        times = [c.time for panel in panels for c in panel.curves if len(c.time)]
+        start = min((float(t[0]) for t in times), default=0.0)
+        stop = max((float(t[-1]) for t in times), default=start)
         pieces += controls(variants[:SHOWN], start, stop)
         pieces += _thinned([recorded for _, recorded in kept])
         if len(kept) > SHOWN:

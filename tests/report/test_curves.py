@@ -1,0 +1,46 @@
+"""Panels of the pages: which variables share one, and what their curves and numbers are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from congelation.report.curves import EVERY, curve_panels, panel_groups
+from congelation.results.record import Trajectory
+from tests.report.stored import trajectory
+
+
+def test_vectors_bounds_and_errors_share_panels() -> None:
+    columns = (
+        "controller.theta_hat[1]",
+        "plant.x[1]",
+        "plant.x[2]",
+        "controller.V",
+        "controller.V_bound",
+        "error(plant.x[1])",
+        "error(controller.u)",
+    )
+    assert panel_groups(columns, ("|plant.x|", "|plant.y|")) == {
+        "plant.x": ("plant.x[1]", "plant.x[2]"),
+        "controller.theta_hat": ("controller.theta_hat[1]",),
+        "Lyapunov function V": ("controller.V", "controller.V_bound"),
+        "estimated error": ("error(plant.x[1])", "error(controller.u)"),
+        "|plant.x|": ("plant.x[1]", "plant.x[2]"),
+    }
+
+
+def test_what_all_variants_share_is_one_curve_and_numbers_are_of_all_points() -> None:
+    panels = {p.title: p for p in curve_panels([(0, trajectory(2.0)), (1, trajectory(3.0))])}
+    assert [curve.variant for curve in panels["plant.theta"].curves] == [EVERY]
+    first, second = panels["controller.u"].curves
+    assert (first.variant, second.variant) == (0, 1)
+    t = np.linspace(0.0, 10.0, 5001)
+    values = 2.0 * np.exp(-t)
+    assert first.numbers == (2.0, values.min(), 2.0, values[-1])
+    assert len(first.time) <= 2002
+
+
+def test_a_variable_without_finite_values_is_no_error() -> None:
+    run = Trajectory(np.array([0.0, 1.0]), ("plant.x",), np.full((2, 1), np.nan), {})
+    (panel,) = curve_panels([(0, run)])
+    assert len(panel.curves[0].time) == 0
+    assert np.all(np.isnan(panel.curves[0].numbers))
