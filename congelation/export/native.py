@@ -351,15 +351,13 @@ def _compiled(name: str, sources: dict[str, bytes]) -> bytes:
 
 
 def _description(xml: bytes, guid: str) -> tuple[bytes, str]:
-    """The twin's modelDescription.xml with the GUID and the capabilities of the native FMU, and
-    its modelIdentifier, after which the library is named."""
+    """The twin's modelDescription.xml with the GUID of the native FMU, and its
+    modelIdentifier, after which the library is named."""
     root = ElementTree.fromstring(xml)
     root.set("guid", guid)
     root.set("generationTool", str(root.get("generationTool")).split(" with ")[0] + " (native)")
     kind = root.find("CoSimulation")
     if kind is None:
         raise ValueError("modelDescription.xml has no CoSimulation")
-    kind.set("canInterpolateInputs", "true")
-    kind.set("maxOutputDerivativeOrder", "1")
     text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return text + b"\n", str(kind.get("modelIdentifier"))
