@@ -3,7 +3,7 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.txt' -o -name '*.png') build_fmu.py
+SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.txt' -o -name '*.png' -o -name '*.[ch]') build_fmu.py
 
 .PHONY: help demo test system-packages test-fast fuzz check format bench bench-coupling corpus docs fmus lock clean
 
@@ -39,7 +39,10 @@ help:
 fmus/manifest.json: .venv/installed $(SOURCES)
 	$(BIN)/python build_fmu.py
 
-fmus: fmus/manifest.json
+fmus/native/manifest.json: .venv/installed $(SOURCES)
+	$(BIN)/python build_fmu.py --native
+
+fmus: fmus/manifest.json fmus/native/manifest.json
 
 DEMO := scalar fig1 fig2 fig3 fig3_r11 strike
 
@@ -115,4 +118,4 @@ lock:
 		--no-emit-index-url --no-header --output-file requirements-cofmupy.lock -
 
 clean:
-	rm -rf .venv .venv-cofmupy build results fmus/*.fmu fmus/manifest.json .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv .venv-cofmupy build results fmus/*.fmu fmus/manifest.json fmus/native .mypy_cache .ruff_cache .pytest_cache
