@@ -3,9 +3,9 @@
 
 PYTHON ?= python3
 BIN := .venv/bin
-SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.txt' -o -name '*.png') build_fmu.py
+SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.txt' -o -name '*.png' -o -name '*.[ch]') build_fmu.py
 
-.PHONY: help demo test system-packages test-fast fuzz check format bench corpus docs fmus lock clean
+.PHONY: help demo test system-packages test-fast fuzz check format bench bench-coupling corpus docs fmus lock clean
 
 help:
 	@echo "make demo    Figs. 1-3 of the paper from FMUs, a sweep, and a page that links them all"
@@ -15,6 +15,7 @@ help:
 	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each, and ten minutes of mutations"
 	@echo "make check   format, lint, types, import layers"
 	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
+	@echo "make bench-coupling   error bars, work and precision on problems with known solutions"
 	@echo "make corpus  check the public FMUs in the folder CORPUS=.. (docs/conformance.md)"
 	@echo "make docs    the documentation as a site, in build/docs"
 	@echo "make fmus    build the FMUs into fmus/"
@@ -38,7 +39,10 @@ help:
 fmus/manifest.json: .venv/installed $(SOURCES)
 	$(BIN)/python build_fmu.py
 
-fmus: fmus/manifest.json
+fmus/native/manifest.json: .venv/installed $(SOURCES)
+	$(BIN)/python build_fmu.py --native
+
+fmus: fmus/manifest.json fmus/native/manifest.json
 
 DEMO := scalar fig1 fig2 fig3 fig3_r11 strike
 
@@ -84,6 +88,10 @@ format: .venv/installed
 	$(BIN)/ruff format .
 	$(BIN)/ruff check --fix .
 
+# Error bars are counted; work and precision is timed: on a machine with nothing else to do.
+bench-coupling: .venv/installed
+	$(BIN)/python -m benchmarks.coupling
+
 bench: fmus .venv-cofmupy/installed
 	$(BIN)/python -m benchmarks
 
@@ -111,4 +119,4 @@ lock:
 		--no-emit-index-url --no-header --output-file requirements-cofmupy.lock -
 
 clean:
-	rm -rf .venv .venv-cofmupy build results fmus/*.fmu fmus/manifest.json .mypy_cache .ruff_cache .pytest_cache
+	rm -rf .venv .venv-cofmupy build results fmus/*.fmu fmus/manifest.json fmus/native .mypy_cache .ruff_cache .pytest_cache

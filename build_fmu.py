@@ -2,6 +2,7 @@
 
 python build_fmu.py                       the FMUs of the standard specs, into fmus/
 python build_fmu.py --spec FILE.toml      the plant and the controller of one spec
+python build_fmu.py --native              the native twins, into fmus/native/
 """
 
 from __future__ import annotations
@@ -41,6 +42,8 @@ STANDARD = (
     "bound_estimator",
     "filtered_transformation",
 )
+# A delay has no native twin.
+NATIVE = tuple(name for name in STANDARD if name != "delay")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -48,9 +51,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description="Build FMUs from specs.")
     parser.add_argument("--spec", action="append", help="a spec; may be repeated")
     parser.add_argument("--out", default=str(ROOT / "fmus"), help="where to write them")
+    parser.add_argument("--native", action="store_true", help="their native twins instead")
     options = parser.parse_args(arguments)
-    specs = options.spec or [str(ROOT / "specs" / f"{name}.toml") for name in STANDARD]
-    congelation(["build", *specs, "--out", options.out])
+    standard = NATIVE if options.native else STANDARD
+    specs = options.spec or [str(ROOT / "specs" / f"{name}.toml") for name in standard]
+    native = ["--native"] if options.native else []
+    congelation(["build", *specs, "--out", options.out, *native])
 
 
 if __name__ == "__main__":

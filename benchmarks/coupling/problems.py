@@ -85,6 +85,10 @@ class Problem:
     known: bool = True
     chaotic: bool = False
 
+    def __reduce__(self) -> tuple[Callable[[str], Problem], tuple[str]]:
+        """Processes send each other its name: functions cannot be sent."""
+        return problem, (self.name,)
+
     def system(self, folder: Path, ability: str) -> System:
         """Of the FMUs in a folder that have an ability, see `parts.ABILITIES`."""
         return System(

@@ -18,7 +18,7 @@ from benchmarks.timing import Stopwatch
 
 __all__ = ["Ecco"]
 
-SHORTEST, LONGEST = 1e-6, 1e-2
+SHORTEST, LONGEST = 3e-5, 1e-2
 """Of the horizon: the steps that it may take."""
 
 STARTED = 1e-4

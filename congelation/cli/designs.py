@@ -68,11 +68,17 @@ def build(
         list[Path], typer.Argument(metavar="SPEC...", help="Specs (.toml).", show_default=False)
     ],
     out: Annotated[Path, typer.Option(help="Folder for the FMUs.", metavar="DIR")] = Path("fmus"),
+    native: Annotated[
+        bool,
+        typer.Option(
+            "--native", help="Their native twins, which run without Python, into DIR/native."
+        ),
+    ] = False,
 ) -> None:
     """Build the plant and the controller FMUs of specs."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", DesignWarning)
-        paths = build_fmus(*specs, out=out)
+        paths = build_fmus(*specs, out=out, native=native)
     for warning in found:
         complain(f"warning: {warning.message}")
     for path in paths:

@@ -8,28 +8,25 @@ is therefore laid over its maxima.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext
+from contextlib import ExitStack, closing
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.coupling import Coupling, Hermite
-from congelation.cosim.coupling.interpolant import HIGH, LOW
+from congelation.cosim.again import Again, Ahead, At, divided
 from congelation.cosim.experiment import Experiment, slave_tolerance
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.recording import Memory, Output, Sink
-from congelation.cosim.result import Result, Statistics, Trust
+from congelation.cosim.recording import Memory, Output
+from congelation.cosim.result import Result, Trust
 from congelation.cosim.system import Recorded, System
 from congelation.errors import InvalidInput
 
 __all__ = ["TRUST", "bands", "error_name", "trusted", "variable_of"]
 
 Floats = npt.NDArray[np.float64]
-Indices = npt.NDArray[np.intp]
 Mask = npt.NDArray[np.bool_]
 
 TRUST = ("order", "probe")
@@ -57,20 +54,16 @@ JITTER = 2.0
 FLOOR = 1e-8
 """Of a variable's peak: no band is narrower, as rounding and unfinished iterations count, too."""
 
+SLAVE_FLOOR = 0.1
+"""The same of the tolerance of the FMUs: theirs in the second run is a hundredth."""
+
 RESOLVED, ROUGH = 0.1, 0.3
 """Largest band over peak up to which a variable counts as resolved, and as rough."""
 
-TIGHTER = 0.03
-"""Iterations of the second run end at this share of the change at which those of the first do."""
-
-TIGHTER_SLAVES = 0.01
-"""The same of the tolerance of the FMUs."""
 
 MOST_LEVELS = 8
 """A variable that takes at most so many values, in many more rows, is a switched one."""
 
-NEAR = 1e-9
-"""Of the shortest step: rows of two runs this near to each other are of the same time."""
 
 PROBED, FINER = 0.01, 32
 """Of the horizon, the part that the probe makes again, and how many steps it makes of each."""
@@ -167,59 +160,6 @@ def _over_maxima(time: Floats, values: Floats) -> Floats:
 # -- runs -----------------------------------------------------------------------------------------
 
 
-class _At(Sink):
-    """Keeps the rows at some times.
-
-    Parameters
-    ----------
-    times : array, shape (N,), or None
-        Increasing; None: the times of all rows are kept, and no values.
-    near : float
-        Rows this near count, in seconds.
-    """
-
-    def __init__(self, times: Floats | None, near: float = 0.0) -> None:
-        self._times, self._near = times, near
-        self._kept = Memory()
-
-    def open(self, columns: Sequence[str]) -> None:
-        """Begin with nothing."""
-        self._kept.open(columns if self._times is not None else columns[:1])
-
-    def write(self, block: Floats) -> None:
-        """Keep what is wanted of a block."""
-        if self._times is None:
-            self._kept.write(block[:, :1].copy())
-        else:
-            distance = np.abs(self._times[_nearest(self._times, block[:, 0])] - block[:, 0])
-            self._kept.write(block[distance <= self._near])
-
-    def close(self) -> None:
-        """Nothing is left to do."""
-
-    def abandon(self) -> None:
-        """Nothing is left to do."""
-
-    def times(self) -> Floats:
-        """Of all rows, shape (N,)."""
-        return self._kept.rows()[:, 0]
-
-    def values(self) -> Floats:
-        """The values at each of the times, shape (N, M); nan where there is no row."""
-        assert self._times is not None
-        rows = self._kept.rows()
-        found = np.full((len(self._times), rows.shape[1] - 1), math.nan)
-        if len(rows):
-            found[_nearest(self._times, rows[:, 0])] = rows[:, 1:]
-        return found
-
-
-def _nearest(times: Floats, wanted: Floats) -> Indices:
-    """The places in increasing times that are nearest to those wanted."""
-    after = np.searchsorted(times, wanted).clip(1, len(times) - 1)
-    return np.asarray(after - (wanted - times[after - 1] < times[after] - wanted), dtype=np.intp)
-
-
 def trusted(
     perform: Callable[..., Result],
     system: System,
@@ -258,20 +198,31 @@ def trusted(
         raise InvalidInput(f"trust = {mode!r} is not valid; give true, {' or '.join(TRUST)}")
     given = output if output is not None else experiment.output or Output()
     first, *others = (given,) if isinstance(given, Output) else given
-    rows, points = Memory(), _At(None)
-    outputs = [first, *others, Output(sink=points)]
+    rows, points = Memory(), At(None)
+    outputs = [first, *others]
+    # The communication points, unless they are the rows themselves, and rows that a sink takes.
+    is_every_point = first == Output()
+    if not is_every_point:
+        outputs.append(Output(sink=points))
     if first.sink is not None:
         outputs.append(replace(first, sink=rows))
-    with SlavePool() if pool is None else nullcontext(pool) as lender:
+    with ExitStack() as stack:
+        lender = pool if pool is not None else stack.enter_context(SlavePool())
 
         def run(experiment: Experiment, outputs: Sequence[Output], **more: Any) -> Result:
             return perform(system, experiment, output=outputs, pool=lender, **more)
 
-        base = run(experiment, outputs, progress=_part(progress, 0.0, ONE_OF_THREE))
-        if not base.whole:
+        ahead = stack.enter_context(
+            closing(Ahead(system, experiment, first, _part(progress, 0.0, ONE_OF_THREE)))
+        )
+        base = run(experiment, outputs, progress=ahead.progress)
+        reached = base.time if is_every_point else points.times()
+        if not base.whole or len(reached) < 2:
             return replace(base, trust=Trust.unknown("the run did not come to its end"))
+        if not base.names:
+            return replace(base, trust=Trust.unknown("nothing is recorded"))
         table = np.column_stack([base.time, base.values]) if first.sink is None else rows.rows()
-        again = _Again(run, experiment, base.statistics, points.times(), table, first.interval)
+        again = Again(run, experiment, base.statistics, reached, table, first.interval, ahead)
         resolved = system.resolve()
         trust = _judged(
             again,
@@ -303,93 +254,8 @@ def _part(
     return lambda fraction: progress(begin + fraction * (end - begin))
 
 
-class _Again:
-    """Makes a run again, with other steps.
-
-    Parameters
-    ----------
-    run : callable
-        Performs an experiment.
-    experiment : Experiment
-        Of the run.
-    statistics : Statistics
-    points : array, shape (P,)
-        Its communication points, the start time among them.
-    table : array, shape (N, 1 + M)
-        Its rows.
-    interval : float or None
-        Of its rows, where they have one of their own.
-    """
-
-    def __init__(
-        self,
-        run: Callable[..., Result],
-        experiment: Experiment,
-        statistics: Statistics,
-        points: Floats,
-        table: Floats,
-        interval: float | None,
-    ) -> None:
-        self._run = run
-        self._interval = interval
-        self.experiment, self.statistics = experiment, statistics
-        self.points = points
-        self.time, self.values = table[:, 0], table[:, 1:]
-        self.steps = 0
-
-    def at(
-        self, points: Floats, progress: Callable[[float], None] | None = None
-    ) -> tuple[Result, Floats]:
-        """Another run over other communication points, shape (P,), tightened inside; and its values
-        at the times of the rows, shape (N, M), nan where it has none."""
-        lengths = np.diff(points)
-        experiment = replace(
-            self.experiment,
-            stop_time=float(points[-1]),
-            step=float(lengths.max()),
-            tolerance=None,
-            coupling=self._coupling(),
-            options={},
-            slave_tolerance=None,
-            output_interval=None,
-            output_every=None,
-            max_steps=None,
-        )
-        slaves = slave_tolerance(self.experiment)
-        if slaves is not None:
-            experiment = replace(experiment, slave_tolerance=TIGHTER_SLAVES * slaves)
-        kept = _At(self.time, NEAR * float(lengths.min()))
-        result = self._run(
-            experiment,
-            [Output(interval=self._interval, sink=kept)],
-            points=points[1:].tolist(),
-            progress=progress,
-        )
-        self.steps += result.statistics.macro_steps
-        return result, kept.values()
-
-    def _coupling(self) -> Coupling:
-        """That of the run, with iterations that end closer to their solution, and the highest order
-        that it has."""
-        coupling = self.experiment.chosen_coupling
-        if not isinstance(coupling, Hermite):
-            return coupling
-        accuracy = coupling.tolerance
-        if self.experiment.tolerance is not None:
-            accuracy = min(accuracy, self.experiment.tolerance)
-        order = HIGH if self.statistics.order == LOW else coupling.order
-        return replace(coupling, order=order, iterations=None, tolerance=TIGHTER * accuracy)
-
-
-def divided(points: Floats, parts: int) -> Floats:
-    """Points, shape (P,), with each interval divided into so many; they stay what they are."""
-    shares = np.arange(parts) / parts
-    finer = points[:-1, None] + np.diff(points)[:, None] * shares
-    return np.append(finer.reshape(-1), points[-1])
-
-
 def _judged(
-    again: _Again,
+    again: Again,
     recorded: Sequence[Recorded],
     mode: bool | str,
     progress: Callable[[float], None] | None,
@@ -398,7 +264,7 @@ def _judged(
 ) -> Trust:
     """Make the run again, and say how far it may be off."""
     time, values, statistics = again.time, again.values, again.statistics
-    second, finer = again.at(divided(again.points, 2 * statistics.parts), progress)
+    second, finer = again.halved(progress)
     if not second.whole:
         return Trust.unknown(f"the second run: {second.message}", second.status.name)
     names = [item.name for item in recorded]
@@ -423,13 +289,19 @@ def _judged(
     notes: list[_Note] = []
     if mode == "order":
         order, notes = _observed(again, difference, ~switched, peaks, names)
-    floor = max(FLOOR, slave_tolerance(again.experiment) or 0.0) * peaks
+    if switches:
+        # Both runs may be late alike: what a variable changes over a step counts as well.
+        difference = np.maximum(difference, _over_a_step(again) / 2.0)
+    floor = max(FLOOR, SLAVE_FLOOR * (slave_tolerance(again.experiment) or 0.0)) * peaks
     powers = np.full(difference.shape, np.maximum(order, LEAST_ORDER))
     if statistics.order == HISTORY_ORDER:
         begun = time <= again.points[: STARTING + 1][-1]
         powers[begun] = np.minimum(powers[begun], 1.0)
     found = bands(time, difference, powers, peaks) * (JITTER if switches else 1.0)
     found = np.maximum(found, floor)
+    # What is not resolved stays so: in chaos, a small difference later on is chance.
+    lost = np.logical_or.accumulate(found > ROUGH * peaks)
+    found = np.where(lost, np.maximum.accumulate(found), found)
     found[:, switched] = _window_maxima(time, difference[:, switched])
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num(found.max(axis=0) / peaks, nan=0.0)
@@ -445,8 +317,6 @@ def _judged(
     )
     runs = 1.0 + again.steps / (statistics.macro_steps * (3.0 if statistics.parts > 1 else 1.0))
     blank = Trust("resolved", "", 0.0, found, relative, verdicts, since, float(np.min(order)), runs)
-    if not names:
-        return blank
     worst = int(np.argmax(relative))
     error = float(relative[worst])
     at = float(time[int(np.argmax(found[:, worst]))])
@@ -518,6 +388,14 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share < 10.0 else f"{share:.2g} times"
 
 
+def _over_a_step(again: Again) -> Floats:
+    """By how much the values differ from those one communication step earlier, shape (N, M)."""
+    k = np.searchsorted(again.points, again.time).clip(1, len(again.points) - 1)
+    before = again.time - np.diff(again.points)[k - 1]
+    earlier = [np.interp(before, again.time, column) for column in again.values.T]
+    return np.asarray(np.abs(again.values - np.column_stack(earlier)), dtype=np.float64)
+
+
 def _is_switched(item: Recorded, values: Floats) -> bool:
     """Whether a recorded variable, values of shape (N,), jumps between few values."""
     if item.variable.type != "Real" or item.variable.variability == "discrete":
@@ -527,7 +405,7 @@ def _is_switched(item: Recorded, values: Floats) -> bool:
 
 
 def _observed(
-    again: _Again, difference: Floats, smooth: Mask, peaks: Floats, names: Sequence[str]
+    again: Again, difference: Floats, smooth: Mask, peaks: Floats, names: Sequence[str]
 ) -> tuple[Floats, list[_Note]]:
     """The order of each variable, shape (M,), from a run with doubled steps; what it says."""
     expected = again.statistics.order
@@ -563,7 +441,7 @@ def _observed(
     return order, notes
 
 
-def _probed(again: _Again, found: Floats, names: Sequence[str]) -> list[_Note]:
+def _probed(again: Again, found: Floats, names: Sequence[str]) -> list[_Note]:
     """What far shorter steps at the beginning say against the bands, shape (N, M)."""
     start, stop = again.points[0], again.points[-1]
     until = max(start + PROBED * (stop - start), again.time[1])

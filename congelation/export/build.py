@@ -17,8 +17,10 @@ from xml.etree import ElementTree
 from pythonfmu.builder import FmuBuilder
 
 from congelation.errors import CongelationError, DesignWarning, InvalidInput
+from congelation.export.archive import write_archive
 from congelation.export.assumptions import spec_warnings
 from congelation.export.model_description import complete
+from congelation.export.native import native_fmu
 from congelation.export.spec import BlockSpec, FmuSpec, Spec, read_buildable
 from congelation.export.stage import Staged, stage
 from congelation.fmi.validation import validate
@@ -36,14 +38,13 @@ _OPTIONS = {
 # What a slave needs of pythonfmu at run time; its builder stays out.
 _RUN_TIME = ("_version", "default_experiment", "enums", "fmi2slave", "logmsg", "variables")
 _IMPORT = re.compile(r"^from pythonfmu\.", re.MULTILINE)
-# Zip's epoch: equal sources must give equal bytes.
-_DATE = (1980, 1, 1, 0, 0, 0)
-_MODE = 0o644 << 16
 # What the content of an FMU follows from, besides its spec.
 _TOOLS = ("congelation", "casadi", "pythonfmu", "fmpy")
 
 
-def build(*specs: Spec | BlockSpec | Path | str, out: Path | str = "fmus") -> list[Path]:
+def build(
+    *specs: Spec | BlockSpec | Path | str, out: Path | str = "fmus", native: bool = False
+) -> list[Path]:
     """Build the FMUs of specs: a plant and a controller each, or a block.
 
     Equal specs, built by equal versions, give byte-identical files. Beside the FMUs there is
@@ -55,6 +56,9 @@ def build(*specs: Spec | BlockSpec | Path | str, out: Path | str = "fmus") -> li
         What to build: a TOML file, or what `read_spec` or `read_buildable` made of one.
     out : Path or str
         Folder for the FMUs, which replace others of the same names.
+    native : bool
+        Build their native twins instead, which need no Python where they run, into the folder
+        ``native`` of `out`.
 
     Returns
     -------
@@ -65,7 +69,10 @@ def build(*specs: Spec | BlockSpec | Path | str, out: Path | str = "fmus") -> li
     Raises
     ------
     InvalidInput
-        A spec is wrong, two FMUs have one name, or nothing can be written to `out`.
+        A spec is wrong, two FMUs have one name, nothing can be written to `out`, or a native
+        FMU is asked for of what has none.
+    CongelationError
+        A native FMU cannot be compiled.
 
     Warns
     -----
@@ -78,7 +85,7 @@ def build(*specs: Spec | BlockSpec | Path | str, out: Path | str = "fmus") -> li
     >>> [path.name for path in paths]
     ['ScalarPlant.fmu', 'ScalarController.fmu']
     """
-    folder = Path(out)
+    folder = Path(out) / "native" if native else Path(out)
     if not specs:
         raise InvalidInput("no spec is given; name one or more, such as specs/f16_pitch.toml")
     check_folder("--out", folder)
@@ -102,15 +109,15 @@ def build(*specs: Spec | BlockSpec | Path | str, out: Path | str = "fmus") -> li
     try:
         for spec in read:
             for fmu in spec.fmus:
-                paths.append(_build_fmu(fmu, spec, folder))
+                paths.append(_build_fmu(fmu, spec, folder, native))
                 _update_manifest(folder / "manifest.json", paths[-1], fmu, spec)
     except OSError as error:
         raise CongelationError(f"{folder}: an FMU cannot be written: {error}") from error
     return paths
 
 
-def _build_fmu(fmu: FmuSpec, spec: Spec | BlockSpec, out: Path) -> Path:
-    """Build one FMU of `spec` into the folder `out`."""
+def _build_fmu(fmu: FmuSpec, spec: Spec | BlockSpec, out: Path, native: bool) -> Path:
+    """Build one FMU of `spec`, or its native twin, into the folder `out`."""
     sources = shipped("fmu_src")
     with tempfile.TemporaryDirectory(prefix="congelation_build_") as temporary:
         folder = Path(temporary)
@@ -119,6 +126,8 @@ def _build_fmu(fmu: FmuSpec, spec: Spec | BlockSpec, out: Path) -> Path:
         target = out / f"{fmu.name}.fmu"
         finished = folder / target.name
         _finish(raw, finished, staged, sources)
+        if native:
+            native_fmu(finished, finished, fmu, sources)
         validate(finished)
         target.write_bytes(finished.read_bytes())
     return target
@@ -183,12 +192,7 @@ def _finish(raw: Path, target: Path, staged: Staged, sources: Path) -> None:
         ("modelDescription.xml", complete(description, staged.interface, staged.digest, tool)),
         *sorted(finished.items()),
     ]
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        for name, data in ordered:
-            info = zipfile.ZipInfo(name, _DATE)
-            info.external_attr = _MODE
-            info.compress_type = zipfile.ZIP_DEFLATED
-            archive.writestr(info, data)
+    write_archive(target, ordered)
 
 
 def _update_manifest(manifest: Path, path: Path, fmu: FmuSpec, spec: Spec | BlockSpec) -> None:

@@ -15,7 +15,7 @@ import casadi as ca
 from congelation.export.straight_line import Block, constants_and_functions
 from congelation.theory.model import Model, Variables
 
-__all__ = ["Special", "equations_module"]
+__all__ = ["Special", "constants_of", "equation_blocks", "equations_module"]
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,8 @@ def equations_module(model: Model, special: Special | None = None) -> str:
     if special is None:
         text = _bind(model, "bind")
     else:
-        names = [name for name, _ in _constants(model)]
-        simpler = [name for name, _ in _constants(special.model)]
+        names = [name for name, _ in constants_of(model)]
+        simpler = [name for name, _ in constants_of(special.model)]
         condition = " and ".join(f"{name} == {value}" for name, value in special.values.items())
         text = "\n\n".join(
             (
@@ -90,7 +90,7 @@ def equations_module(model: Model, special: Special | None = None) -> str:
     return head + text
 
 
-def _constants(model: Model) -> list[tuple[str, ca.SX]]:
+def constants_of(model: Model) -> list[tuple[str, ca.SX]]:
     """What the equations are bound to: parameters, then gains, as Python names and symbols."""
     groups = [p.variables for p in model.parameters] + [g.variables for g in model.gains]
     return [
@@ -102,8 +102,8 @@ def _constants(model: Model) -> list[tuple[str, ca.SX]]:
 
 def _bind(model: Model, function: str) -> str:
     """The function that closes the equations over their constants."""
-    constants = _constants(model)
-    body = constants_and_functions(constants, _blocks(model))
+    constants = constants_of(model)
+    body = constants_and_functions(constants, equation_blocks(model))
     states = sum(len(s.variables.names) for s in model.states)
     inputs = sum(len(i.variables.names) for i in model.inputs)
     if states:
@@ -123,7 +123,8 @@ def _python_name(name: str) -> str:
     return name.replace("[", "_").replace(",", "_").rstrip("]")
 
 
-def _blocks(model: Model) -> Iterable[Block]:
+def equation_blocks(model: Model) -> Iterable[Block]:
+    """The functions of a model's equations: rates, outputs, derivatives."""
     x = ("x", tuple(e for s in model.states for e in s.variables.elements))
     v = ("v", tuple(e for i in model.inputs for e in i.variables.elements))
     d = ("d", tuple(e for i in model.inputs for e in Variables("", i.derivative, "").elements))

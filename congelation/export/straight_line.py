@@ -1,8 +1,9 @@
-"""A CasADi expression graph written out as straight-line Python.
+"""A CasADi expression graph written out as straight-line Python or C.
 
 The text needs nothing but `math`: it is what runs inside an FMU. Nodes that depend on constants
 only (parameters, gains) are evaluated once, when the equations are bound to them; a node used
-once stands inside the expression that uses it.
+once stands inside the expression that uses it. Both languages do the same operations in the same
+order, so that their numbers are equal to the last bit.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-__all__ = ["Block", "constants_and_functions"]
+__all__ = ["Block", "c_functions", "constants_and_functions"]
 
 _BINARY: dict[int, str] = {
     ca.OP_ADD: "({0} + {1})",
@@ -51,6 +52,25 @@ _UNARY: dict[int, str] = {
     ca.OP_FABS: "abs({0})",
     ca.OP_SIGN: "float(({0} > 0.0) - ({0} < 0.0))",
     ca.OP_NOT: "float({0} == 0.0)",
+}
+# What C writes in another way than Python; its min and max are those of fmu_src/native/block.h.
+_C_BINARY = _BINARY | {
+    ca.OP_POW: "pow({0}, {1})",
+    ca.OP_CONSTPOW: "pow({0}, {1})",
+    ca.OP_FMIN: "lesser({0}, {1})",
+    ca.OP_FMAX: "greater({0}, {1})",
+    ca.OP_LT: "(double)({0} < {1})",
+    ca.OP_LE: "(double)({0} <= {1})",
+    ca.OP_EQ: "(double)({0} == {1})",
+    ca.OP_NE: "(double)({0} != {1})",
+    ca.OP_AND: "(double)({0} != 0.0 && {1} != 0.0)",
+    ca.OP_OR: "(double)({0} != 0.0 || {1} != 0.0)",
+    ca.OP_IF_ELSE_ZERO: "({0} != 0.0 ? {1} : 0.0)",
+}
+_C_UNARY = _UNARY | {
+    ca.OP_FABS: "fabs({0})",
+    ca.OP_SIGN: "sign_of({0})",
+    ca.OP_NOT: "(double)({0} == 0.0)",
 }
 # Operators that bind looser than a call or a name: their text is bracketed inside another one.
 _LOOSE = (
@@ -125,13 +145,68 @@ def constants_and_functions(
     return fixed_lines + function_lines
 
 
+def c_functions(
+    name: str, constants: Sequence[tuple[str, ca.SX]], blocks: Iterable[Block]
+) -> list[str]:
+    """C source lines of ``struct name``, which holds the fixed nodes, and of its functions.
+
+    Parameters
+    ----------
+    name : str
+        Of the struct; the functions are ``name_bind`` and ``name_`` with the name of each block.
+    constants : sequence of (name, symbol)
+        Symbols known when the equations are bound: the elements of its array ``p``.
+    blocks : iterable of Block
+        The functions to write; each group of arguments is one array.
+
+    Returns
+    -------
+    list of str
+        ``name_bind(p, b)`` evaluates the fixed nodes, ``name_rates(b, x, .., result)`` a block.
+
+    Raises
+    ------
+    ValueError
+        If a result depends on a symbol that is neither a constant nor an argument.
+    """
+    indexed = [(f"b->p[{i}]", symbol) for i, (_, symbol) in enumerate(constants)]
+    fixed_lines: list[str] = []
+    function_lines: list[str] = []
+    for number, block in enumerate(blocks):
+        writer = _Writer(indexed, block, prefix=f"b->f{number}_", c=True)
+        fixed, function = writer.write(owner=name)
+        fixed_lines += fixed
+        function_lines += ["", *function]
+    fields = [line.split(" = ")[0].removeprefix("b->") for line in fixed_lines]
+    return [
+        f"struct {name} {{",
+        f"    double p[{max(len(constants), 1)}];",
+        *(f"    double {field};" for field in fields),
+        "};",
+        "",
+        f"static void {name}_bind(const double *p, struct {name} *b)",
+        "{",
+        f"    for (int i = 0; i < {len(constants)}; i++) b->p[i] = p[i];",
+        *(f"    {line};" for line in fixed_lines),
+        "}",
+        *function_lines,
+    ]
+
+
 class _Writer:
     """Writes one block; a current state is held only while it is being written."""
 
-    def __init__(self, constants: Sequence[tuple[str, ca.SX]], block: Block, prefix: str) -> None:
+    def __init__(
+        self, constants: Sequence[tuple[str, ca.SX]], block: Block, prefix: str, c: bool = False
+    ) -> None:
         self._block = block
         self._prefix = prefix
-        groups = [_names_of(name, symbols) for name, symbols in block.arguments]
+        self._unary, self._binary = (_C_UNARY, _C_BINARY) if c else (_UNARY, _BINARY)
+        self._declaration = "const double " if c else ""
+        groups = [
+            [f"{name}[{i}]" for i in range(len(symbols))] if c else _names_of(name, symbols)
+            for name, symbols in block.arguments
+        ]
         self._names = [name for name, _ in constants] + [n for group in groups for n in group]
         self._constant_count = len(constants)
         symbols = [s for _, s in constants] + [s for _, g in block.arguments for s in g]
@@ -173,8 +248,8 @@ class _Writer:
         self._nodes.append(node)
         return len(self._nodes) - 1
 
-    def write(self) -> tuple[list[str], list[str]]:
-        """The lines to evaluate once, and those of the function."""
+    def write(self, owner: str | None = None) -> tuple[list[str], list[str]]:
+        """The lines to evaluate once, and those of the function: in C where it has an owner."""
         needed_by_function = self._fixed_nodes_needed()
         repeated = {i for n in self._nodes if n.operation in _REPEATING for i in n.operands}
         fixed_lines: list[str] = []
@@ -191,10 +266,13 @@ class _Writer:
             )
             if named:
                 name = f"{self._prefix}{index}" if node.fixed else f"w{index}"
-                (fixed_lines if node.fixed else body).append(f"{name} = {_unbracketed(text)}")
+                declared = name if node.fixed else self._declaration + name
+                (fixed_lines if node.fixed else body).append(f"{declared} = {_unbracketed(text)}")
                 node.text, node.operation = name, ca.OP_INPUT
             else:
                 node.text = text
+        if owner is not None:
+            return fixed_lines, self._c_function(owner, body)
         returned = ", ".join(_unbracketed(self._nodes[i].text) for i in self._results)
         comma = "," if len(self._results) == 1 else ""
         return fixed_lines, [
@@ -203,6 +281,22 @@ class _Writer:
             *(f"    {line}" for line in self._unpacking()),
             *(f"    {line}" for line in body),
             f"    return ({returned}{comma})",
+        ]
+
+    def _c_function(self, owner: str, body: list[str]) -> list[str]:
+        arrays = [name for name, _ in self._block.arguments]
+        arguments = "".join(f", const double *{name}" for name in arrays)
+        unused = ", ".join(f"(void){name}" for name in ("b", *arrays))
+        texts = [_unbracketed(self._nodes[i].text) for i in self._results]
+        return [
+            f"/* {self._block.doc} */",
+            f"static void {owner}_{self._block.name}(const struct {owner} *b{arguments}, "
+            "double *result)",
+            "{",
+            f"    {unused}, (void)result;",
+            *(f"    {line};" for line in body),
+            *(f"    result[{i}] = {text};" for i, text in enumerate(texts)),
+            "}",
         ]
 
     def _unpacking(self) -> list[str]:
@@ -220,7 +314,7 @@ class _Writer:
 
     def _expression(self, node: _Node) -> str:
         operands = [self._operand(self._nodes[i]) for i in node.operands]
-        table = _UNARY if len(operands) == 1 else _BINARY
+        table = self._unary if len(operands) == 1 else self._binary
         try:
             return table[node.operation].format(*operands)
         except KeyError:

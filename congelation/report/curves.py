@@ -325,7 +325,9 @@ def _numbers(panel: Panel, variants: Sequence[str]) -> Iterator[str]:
     several = len({curve.unit for curve in panel.curves}) > 1
     for curve in panel.curves:
         who = "every variant" if curve.variant == EVERY else variants[curve.variant]
-        name = pretty(curve.label.partition(".")[2] or curve.label)
+        error = _ERROR.match(curve.label)
+        plain = error["of"] if error else curve.label
+        name = pretty(plain.partition(".")[2] or plain)
         name = f"|{name}" if curve.label.startswith("|") else name
         if several and plain_unit(curve.unit):
             name += f" [{plain_unit(curve.unit)}]"

@@ -184,7 +184,7 @@ def certify(
     seed : int
         Of the random states.
     umax : float, optional
-        Largest |u| of a saturated control, in the unit of u: for each design that holds, the
+        Limit of the size of a saturated control, in the unit of u: for each design that holds, the
         largest level set of V in which it never saturates is looked for, see
         `congelation.theory.saturation`.
 

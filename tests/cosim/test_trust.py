@@ -1,12 +1,13 @@
 """Error bars: what they cover, what they cost, and what is said where there are none."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks.coupling.problems import Problem, problem
-from congelation.cosim import Component, Output, ParquetFile, Status, System, simulate
+from congelation.cosim import Component, Output, ParquetFile, Status, System, again, simulate
 from congelation.cosim.experiment import Experiment
 from congelation.cosim.master import perform
 from congelation.cosim.trust import FLOOR, MARGIN, bands, error_name, trusted, variable_of
@@ -87,6 +88,32 @@ def test_rows_of_their_own_times_get_bars_as_well(parts, tmp_path):
     assert len(other.values) == 1
     every = run(found, parts, "held", "jacobi", step=0.02, trust=True, output=Output(every=7))
     assert every.trust.error == pytest.approx(result.trust.error, rel=0.1)
+
+
+def test_a_second_process_finds_the_same(parts, monkeypatch):
+    found = problem("relay")
+    alone = run(found, parts, "held", "jacobi", step=0.02, trust=True)
+    monkeypatch.setattr(again, "LOOKED_AT", 0.0)
+    monkeypatch.setattr(again, "WORTH", 0.0)
+    monkeypatch.setattr(again, "PROCESSORS", 1)
+    started = []
+    start = again.Ahead._start
+    monkeypatch.setattr(again.Ahead, "_start", lambda self: (started.append(self), start(self)))
+    beside = run(found, parts, "held", "jacobi", step=0.02, trust=True)
+    assert len(started) == 1
+    assert (beside.values == alone.values).all()
+    assert beside.trust.line == alone.trust.line
+    assert not Path(started[0]._folder.name).exists()
+
+
+def test_a_second_process_that_dies_is_replaced(parts, monkeypatch):
+    found = problem("relay")
+    alone = run(found, parts, "held", "jacobi", step=0.02, trust=True)
+    monkeypatch.setattr(again, "LOOKED_AT", 0.0)
+    monkeypatch.setattr(again, "WORTH", 0.0)
+    monkeypatch.setattr(again, "PROCESSORS", 1)
+    monkeypatch.setattr(again, "MODULE", "congelation.no_such_module")
+    assert run(found, parts, "held", "jacobi", step=0.02, trust=True).trust.line == alone.trust.line
 
 
 def test_large_errors_are_flagged_with_the_time_from_which_on(parts):

@@ -1,0 +1,181 @@
+/* What the parts of a native FMU share: the generated tables of a model, and one instance of it.
+
+   A native FMU is the twin of the Python FMU that fmu_src/python makes of the same spec: the
+   operations are the same, in the same order, so that the numbers are equal to the last bit.
+   Nothing here is global but constants: instances may run in parallel threads. */
+
+#ifndef CONGELATION_BLOCK_H
+#define CONGELATION_BLOCK_H
+
+#include <stdbool.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#include "fmi2Functions.h"
+
+/* -- a model, generated ----------------------------------------------------------------------- */
+
+enum role { INPUT, CONSTANT, OUTPUT, DERIVATIVE, GAIN, THETA, NEXT_EVENT };
+enum domain { REAL, POSITIVE, NONNEGATIVE, POSITIVE_DEFINITE, BOOLEAN, SIGN };
+
+/* `index` counts within the role; of a constant it is the place in the array of constants. */
+struct variable {
+    const char *name;
+    char type; /* R, I, B or S */
+    enum role role;
+    int index;
+    double start;
+};
+
+/* Values of a parameter: a vector, or a matrix row by row. */
+struct parameter {
+    const char *name;
+    enum domain domain;
+    int reference, count, columns;
+};
+
+/* How many terms of a kind a profile has room for, and the constants that hold their fields. */
+struct profile_slots {
+    const char *name;
+    int mean;
+    int sines, sine;           /* amplitude, omega, phase of each */
+    int squares, square;       /* amplitude, period, phase */
+    int chirps, chirp;         /* amplitude, omega_start, omega_end, duration, phase */
+    int telegraphs, telegraph; /* amplitude, rate, seed */
+    int noises, noise;         /* deviation, sample_time, seed */
+};
+
+extern const char MODEL_NAME[], MODEL_GUID[];
+extern const unsigned char MODEL_KEY[32]; /* of serialised states */
+extern const int VARIABLE_COUNT, STATES, INPUTS, OUTPUTS, DERIVATIVES, GAINS, PROFILES;
+extern const int CONSTANTS, PARAMETERS;
+extern const bool TIMED; /* the equations take time behind signals, and the slopes of signals */
+extern const struct variable VARIABLES[];
+extern const struct parameter MODEL_PARAMETERS[];
+extern const int START_CONSTANTS[];       /* of the states */
+extern const int OUTPUT_OF_DERIVATIVE[];  /* outputs whose time derivatives the FMU knows */
+extern const struct profile_slots PROFILE_SLOTS[];
+extern const size_t BOUND_SIZE;
+
+struct reason { char text[400]; };
+enum outcome { COMPUTED, INFEASIBLE, UNCOMPUTABLE };
+
+enum outcome model_gains(const double *parameters, double *gains, struct reason *why);
+void model_bind(const double *parameters, const double *gains, void *bound);
+void model_rates(const void *bound, const double *x, const double *v, const double *theta,
+                 double *result);
+void model_outputs(const void *bound, const double *x, const double *v, const double *theta,
+                   double *result);
+void model_derivatives(const void *bound, const double *x, const double *v, const double *d,
+                       const double *theta, double *result);
+
+/* What the equations are written with; as Python's functions, the first of equal operands. */
+static inline double lesser(double a, double b) { return b < a ? b : a; }
+static inline double greater(double a, double b) { return b > a ? b : a; }
+static inline double sign_of(double a) { return (double)(a > 0.0) - (double)(a < 0.0); }
+
+/* -- gains.c ---------------------------------------------------------------------------------- */
+
+/* A rule: order n, m columns of B, the parameters that it takes, fixed matrices. */
+typedef enum outcome rule(int n, int m, const double *const *arguments, const double *const *fixed,
+                          double *gains, struct reason *why);
+rule rule_iss_filter_gain, rule_hurwitz_filter_gain, rule_filter_norm, rule_matched_riccati;
+bool is_positive_definite(const double *a, int n);
+double exact_sum(const double *terms, int count);
+
+/* -- profiles.c ------------------------------------------------------------------------------- */
+
+enum kind { SQUARE, CHIRP, TELEGRAPH, NOISE };
+
+/* One piece of a term between two events. */
+struct piece {
+    double start, end, held;
+    bool smooth, sweeping; /* whether a sine, or a chirp in its sweep, is added */
+    double wave[4];        /* amplitude, omega, [kappa,] phase */
+};
+
+/* A term with events; the telegraph's jumps are remembered around the time last asked for. */
+struct term {
+    enum kind kind;
+    char name[16];
+    double a, b, c, d, e;
+    int64_t jumps;
+    double last, next;
+};
+
+typedef double sine[3]; /* amplitude, omega, phase */
+
+/* A profile: what holds at all times, and terms with events. */
+struct profile {
+    double held;
+    int sine_count, term_count;
+    sine *sines;
+    struct term *terms;
+    struct piece *pieces;
+};
+
+/* All profiles on one smooth piece. */
+struct smooth {
+    double start, end;
+    bool known;
+};
+
+bool profile_bind(struct profile *profile, const struct profile_slots *slots,
+                  const double *constants, struct reason *why);
+bool profile_segment(struct profile *profile, double t, double *start, double *end,
+                     struct reason *why);
+double profile_value(const struct profile *profile, double t);
+double profile_derivative(const struct profile *profile, double t);
+
+/* -- an instance ------------------------------------------------------------------------------ */
+
+enum mode { INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED };
+
+/* The complete state is one array of doubles: these, then x, the inputs and the constants. */
+enum scalar { MODE, TIME, HAS_STOP, STOP_TIME, TOLERANCE, INNER_STEP, SINCE, SCALARS };
+
+struct instance {
+    const fmi2CallbackFunctions *callbacks;
+    char *name;
+    bool logging, refused_tolerance;
+    /* the state */
+    double *state, *x, *inputs, *constants;
+    /* what follows from the constants */
+    bool settled, is_bound;
+    double *gains, *candidate_gains;
+    void *bound;
+    struct profile *profiles;
+    struct smooth smooth;
+    /* what follows from the state */
+    bool outputs_known, derivatives_known;
+    double *outputs, *derivatives;
+    /* work: rates of the stages, points, values of inputs and theta */
+    double *k, *y, *point, *v, *slopes, *theta, *cubics, *old_x;
+    struct reason parameter_fault;
+};
+
+static inline size_t state_length(void)
+{
+    return (size_t)SCALARS + (size_t)STATES + (size_t)(4 * INPUTS)
+           + (TIMED ? 0u : (size_t)PROFILES) + (size_t)CONSTANTS;
+}
+
+/* log.c */
+void report(const struct instance *instance, fmi2Status status, const char *format, ...);
+void explain(struct reason *why, const char *format, ...);
+const char *repr_of(double value, char text[32]);
+
+/* parameters.c: check the parameters, compute the gains, close the equations over both. */
+bool settle(struct instance *instance);
+
+/* variables.c */
+bool theta_at(struct instance *instance, double t, struct reason *why);
+void theta_values(struct instance *instance, double t);
+void input_cubics(struct instance *instance);
+bool computed_value(struct instance *instance, const struct variable *variable, double *value);
+void forget_computed(struct instance *instance);
+
+/* integrator.c: x from t over h; false, with x and the inner step undone by the caller. */
+bool advance(struct instance *instance, double t, double h, struct reason *why);
+
+#endif

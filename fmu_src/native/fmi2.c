@@ -1,0 +1,617 @@
+/* The functions of FMI 2.0 co-simulation, and the state machine behind them.
+
+   A refused call returns fmi2Error, with its reason logged, and changes nothing. A step that
+   cannot be taken returns fmi2Discard and leaves the states where they were. */
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "block.h"
+#include "state.h"
+
+/* Relative tolerance of the internal integration where fmi2SetupExperiment gives none. */
+#define DEFAULT_TOLERANCE 1e-8
+/* A communication point may differ from the instance's own time by rounding of this size. */
+#define TIME_ROUNDING 1e-9
+/* First internal step tried, in seconds; the step control takes it from there. */
+#define FIRST_STEP 1e-3
+
+static const char *const WHEN[] = {"before fmi2EnterInitializationMode", "in initialization mode",
+                                   "after initialization", "after fmi2Terminate"};
+
+static int mode_of(const struct instance *in) { return (int)in->state[MODE]; }
+
+static fmi2Status illegal(const struct instance *in, const char *function)
+{
+    report(in, fmi2Error, "%s was called %s", function, WHEN[mode_of(in)]);
+    return fmi2Error;
+}
+
+static fmi2Status unsupported(const struct instance *in, const char *what)
+{
+    report(in, fmi2Error, "%s", what);
+    return fmi2Error;
+}
+
+/* -- life ------------------------------------------------------------------------------------- */
+
+const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
+const char *fmi2GetVersion(void) { return fmi2Version; }
+
+static void set_defaults(struct instance *in)
+{
+    memset(in->state, 0, state_length() * sizeof(double));
+    in->state[TOLERANCE] = DEFAULT_TOLERANCE;
+    in->state[INNER_STEP] = FIRST_STEP;
+    for (int vr = 0; vr < VARIABLE_COUNT; vr++)
+        if (VARIABLES[vr].role == CONSTANT) in->constants[VARIABLES[vr].index] = VARIABLES[vr].start;
+    in->settled = false;
+    in->smooth.known = false;
+    forget_computed(in);
+    settle(in);
+}
+
+/* Terms with events, and sines: a chirp of one frequency is a sine. */
+static int event_room(const struct profile_slots *s)
+{
+    return s->squares + s->chirps + s->telegraphs + s->noises;
+}
+
+/* All memory of an instance in one piece, so that nothing is allocated later. Called first to
+   measure, with no memory, and then to share it out. */
+static size_t share_out(struct instance *in, char *memory)
+{
+    size_t used = (sizeof(struct instance) + 15u) & ~(size_t)15u;
+#define TAKE(pointer, type, count)                                          \
+    do {                                                                    \
+        if (memory) pointer = (type *)(void *)(memory + used);              \
+        used += ((size_t)(count) * sizeof(type) + 15u) & ~(size_t)15u;      \
+    } while (0)
+    TAKE(in->state, double, state_length());
+    if (memory) {
+        in->x = in->state + SCALARS;
+        in->inputs = in->x + STATES;
+        in->constants = in->inputs + 4 * INPUTS + (TIMED ? 0 : PROFILES);
+    }
+    TAKE(in->gains, double, GAINS);
+    TAKE(in->candidate_gains, double, GAINS);
+    TAKE(in->bound, double, BOUND_SIZE / sizeof(double) + 1);
+    TAKE(in->outputs, double, OUTPUTS);
+    TAKE(in->derivatives, double, DERIVATIVES);
+    TAKE(in->k, double, 7 * STATES);
+    TAKE(in->y, double, STATES);
+    TAKE(in->point, double, STATES);
+    TAKE(in->old_x, double, STATES);
+    TAKE(in->v, double, INPUTS);
+    TAKE(in->slopes, double, INPUTS);
+    TAKE(in->theta, double, 2 * PROFILES + 1);
+    TAKE(in->cubics, double, 4 * INPUTS);
+    TAKE(in->profiles, struct profile, PROFILES);
+    for (int j = 0; j < PROFILES; j++) {
+        const struct profile_slots *slots = PROFILE_SLOTS + j;
+        struct profile unused, *profile = memory ? in->profiles + j : &unused;
+        TAKE(profile->sines, sine, slots->sines + slots->chirps);
+        TAKE(profile->terms, struct term, event_room(slots));
+        TAKE(profile->pieces, struct piece, event_room(slots));
+    }
+#undef TAKE
+    return used;
+}
+
+fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String resources,
+                              const fmi2CallbackFunctions *functions, fmi2Boolean visible,
+                              fmi2Boolean logging)
+{
+    (void)resources; /* nothing is read from there, so any form of URI will do */
+    (void)visible;
+    if (!functions || !functions->logger) return NULL;
+    struct instance asking = {0};
+    asking.callbacks = functions;
+    asking.name = (char *)(name && *name ? name : "(no name)");
+    if (!name || !*name) {
+        unsupported(&asking, "fmi2Instantiate: instanceName is empty; give the instance a name");
+        return NULL;
+    }
+    if (!guid || strcmp(guid, MODEL_GUID) != 0) {
+        report(&asking, fmi2Error,
+               "fmi2Instantiate: the GUID is %s, but the library was built for %s; take both from "
+               "one FMU",
+               guid ? guid : "missing", MODEL_GUID);
+        return NULL;
+    }
+    if (type != fmi2CoSimulation) {
+        unsupported(&asking, "fmi2Instantiate: this FMU is for co-simulation, not model exchange");
+        return NULL;
+    }
+    char *memory = calloc(1, share_out(&asking, NULL));
+    char *copy = malloc(strlen(name) + 1);
+    if (!memory || !copy) {
+        free(memory);
+        free(copy);
+        unsupported(&asking, "fmi2Instantiate: there is no memory left");
+        return NULL;
+    }
+    struct instance *in = (struct instance *)(void *)memory;
+    in->callbacks = functions;
+    in->name = strcpy(copy, name);
+    in->logging = logging != fmi2False;
+    share_out(in, memory);
+    set_defaults(in);
+    return in;
+}
+
+void fmi2FreeInstance(fmi2Component c)
+{
+    struct instance *in = c;
+    if (!in) return;
+    free(in->name);
+    free(in);
+}
+
+fmi2Status fmi2SetDebugLogging(fmi2Component c, fmi2Boolean on, size_t count,
+                               const fmi2String categories[])
+{
+    static const char *const known[] = {"logAll", "logStatusWarning", "logStatusDiscard",
+                                        "logStatusError", "logStatusFatal", "logStatusPending"};
+    struct instance *in = c;
+    for (size_t i = 0; i < count; i++) {
+        bool found = false;
+        for (size_t k = 0; k < sizeof known / sizeof *known; k++)
+            found = found || (categories[i] && strcmp(categories[i], known[k]) == 0);
+        if (!found) {
+            report(in, fmi2Error, "'%s' is no log category of this FMU",
+                   categories[i] ? categories[i] : "");
+            return fmi2Error;
+        }
+    }
+    in->logging = on != fmi2False;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2Real tolerance,
+                               fmi2Real start, fmi2Boolean has_stop, fmi2Real stop)
+{
+    struct instance *in = c;
+    char text[32];
+    if (mode_of(in) != INSTANTIATED) return illegal(in, "fmi2SetupExperiment");
+    if (!isfinite(start) || (has_stop && !isfinite(stop))) {
+        report(in, fmi2Error, "%s = %s is refused: it must be finite",
+               isfinite(start) ? "stopTime" : "startTime",
+               repr_of(isfinite(start) ? stop : start, text));
+        return fmi2Error;
+    }
+    if (has_stop && stop < start) {
+        report(in, fmi2Error, "stopTime = %s is before startTime", repr_of(stop, text));
+        return fmi2Error;
+    }
+    if (has_tolerance && !(0.0 < tolerance && tolerance < 1.0)) {
+        report(in, fmi2Error, "tolerance = %s is refused: 0 < tolerance < 1",
+               repr_of(tolerance, text));
+        return fmi2Error;
+    }
+    in->state[TIME] = start;
+    in->state[HAS_STOP] = has_stop ? 1.0 : 0.0;
+    in->state[STOP_TIME] = has_stop ? stop : 0.0;
+    in->state[TOLERANCE] = has_tolerance ? tolerance : DEFAULT_TOLERANCE;
+    forget_computed(in);
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterInitializationMode(fmi2Component c)
+{
+    struct instance *in = c;
+    if (mode_of(in) != INSTANTIATED) return illegal(in, "fmi2EnterInitializationMode");
+    in->state[MODE] = INITIALIZATION;
+    return fmi2OK;
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component c)
+{
+    struct instance *in = c;
+    if (mode_of(in) != INITIALIZATION) return illegal(in, "fmi2ExitInitializationMode");
+    if (!in->settled && !settle(in)) return unsupported(in, in->parameter_fault.text);
+    in->state[MODE] = STEPPING;
+    return fmi2OK;
+}
+
+fmi2Status fmi2Terminate(fmi2Component c)
+{
+    struct instance *in = c;
+    if (mode_of(in) != STEPPING) return illegal(in, "fmi2Terminate");
+    in->state[MODE] = TERMINATED;
+    return fmi2OK;
+}
+
+fmi2Status fmi2Reset(fmi2Component c)
+{
+    set_defaults(c);
+    return fmi2OK;
+}
+
+/* -- values ----------------------------------------------------------------------------------- */
+
+static const char *type_name(char type)
+{
+    return type == 'R' ? "Real" : type == 'I' ? "Integer" : type == 'B' ? "Boolean" : "String";
+}
+
+static const struct variable *of_type(const struct instance *in, fmi2ValueReference vr, char type)
+{
+    if (vr < (fmi2ValueReference)VARIABLE_COUNT && VARIABLES[vr].type == type)
+        return VARIABLES + vr;
+    report(in, fmi2Error, "value reference %u is no %s variable of this model", vr,
+           type_name(type));
+    return NULL;
+}
+
+fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count,
+                       fmi2Real value[])
+{
+    struct instance *in = c;
+    fmi2Status status = fmi2OK;
+    for (size_t i = 0; i < count; i++) {
+        const struct variable *variable = of_type(in, vr[i], 'R');
+        value[i] = 0.0;
+        if (!variable || !computed_value(in, variable, value + i)) status = fmi2Error;
+    }
+    return status;
+}
+
+fmi2Status fmi2GetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t count,
+                          fmi2Integer value[])
+{
+    struct instance *in = c;
+    for (size_t i = 0; i < count; i++) {
+        const struct variable *variable = of_type(in, vr[i], 'I');
+        if (!variable) return fmi2Error;
+        value[i] = (fmi2Integer)in->constants[variable->index];
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t count,
+                          fmi2Boolean value[])
+{
+    struct instance *in = c;
+    for (size_t i = 0; i < count; i++) {
+        const struct variable *variable = of_type(in, vr[i], 'B');
+        if (!variable) return fmi2Error;
+        value[i] = in->constants[variable->index] != 0.0 ? fmi2True : fmi2False;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t count,
+                         fmi2String value[])
+{
+    struct instance *in = c;
+    for (size_t i = 0; i < count; i++) {
+        if (!of_type(in, vr[i], 'S')) return fmi2Error;
+        value[i] = "";
+    }
+    return fmi2OK;
+}
+
+/* A constant that may be set now; NULL, with the reason logged, otherwise. */
+static const struct variable *settable(const struct instance *in, fmi2ValueReference vr, char type)
+{
+    if (vr >= (fmi2ValueReference)VARIABLE_COUNT || VARIABLES[vr].type != type
+        || VARIABLES[vr].role != CONSTANT) {
+        report(in, fmi2Error, "value reference %u is no %s that can be set", vr, type_name(type));
+        return NULL;
+    }
+    if (mode_of(in) > INITIALIZATION) {
+        report(in, fmi2Error, "%s is fixed and cannot be set %s; reset the instance first",
+               VARIABLES[vr].name, WHEN[mode_of(in)]);
+        return NULL;
+    }
+    return VARIABLES + vr;
+}
+
+static void set_constant(struct instance *in, const struct variable *variable, double value)
+{
+    in->constants[variable->index] = value;
+    in->settled = false;
+    forget_computed(in);
+}
+
+/* Inputs that are set hold at the communication point; the step begins anew. */
+static void set_input(struct instance *in, int slot, double value)
+{
+    in->inputs[slot] = value;
+}
+
+static void inputs_were_set(struct instance *in)
+{
+    in->state[SINCE] = 0.0;
+    forget_computed(in);
+}
+
+fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count,
+                       const fmi2Real value[])
+{
+    struct instance *in = c;
+    char text[32];
+    fmi2Status status = fmi2OK;
+    for (size_t i = 0; i < count; i++) {
+        bool known = vr[i] < (fmi2ValueReference)VARIABLE_COUNT;
+        if (!isfinite(value[i])) {
+            report(in, fmi2Error, "%s = %s is refused: it must be finite",
+                   known ? VARIABLES[vr[i]].name : "an unknown variable", repr_of(value[i], text));
+            status = fmi2Error;
+        } else if (known && VARIABLES[vr[i]].role == INPUT) {
+            if (mode_of(in) == TERMINATED) return illegal(in, "fmi2SetReal");
+            set_input(in, VARIABLES[vr[i]].index, value[i]);
+        } else {
+            const struct variable *variable = settable(in, vr[i], 'R');
+            if (variable) set_constant(in, variable, value[i]);
+            else status = fmi2Error;
+        }
+    }
+    inputs_were_set(in);
+    return status;
+}
+
+fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference vr[], size_t count,
+                          const fmi2Integer value[])
+{
+    struct instance *in = c;
+    for (size_t i = 0; i < count; i++) {
+        const struct variable *variable = settable(in, vr[i], 'I');
+        if (!variable) return fmi2Error;
+        set_constant(in, variable, (double)value[i]);
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t count,
+                          const fmi2Boolean value[])
+{
+    struct instance *in = c;
+    for (size_t i = 0; i < count; i++) {
+        const struct variable *variable = settable(in, vr[i], 'B');
+        if (!variable) return fmi2Error;
+        set_constant(in, variable, value[i] ? 1.0 : 0.0);
+    }
+    return fmi2OK;
+}
+
+/* The only strings are files of tables, which native FMUs do not read. */
+fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t count,
+                         const fmi2String value[])
+{
+    struct instance *in = c;
+    for (size_t i = 0; i < count; i++) {
+        const struct variable *variable = settable(in, vr[i], 'S');
+        if (!variable) return fmi2Error;
+        if (value[i] && *value[i]) {
+            report(in, fmi2Error,
+                   "%s = '%s' is refused: a native FMU reads no tables; use the Python FMU, or "
+                   "the input dtheta",
+                   variable->name, value[i]);
+            return fmi2Error;
+        }
+    }
+    return fmi2OK;
+}
+
+/* der(v), der(v,2) and der(v,3) are inputs too: this is another way to set them. */
+fmi2Status fmi2SetRealInputDerivatives(fmi2Component c, const fmi2ValueReference vr[],
+                                       size_t count, const fmi2Integer order[],
+                                       const fmi2Real value[])
+{
+    struct instance *in = c;
+    char text[32];
+    if (mode_of(in) == TERMINATED) return illegal(in, "fmi2SetRealInputDerivatives");
+    for (size_t i = 0; i < count; i++) {
+        const struct variable *variable = of_type(in, vr[i], 'R');
+        if (!variable) return fmi2Error;
+        if (variable->role != INPUT || variable->index >= INPUTS || order[i] < 1 || order[i] > 3) {
+            report(in, fmi2Error,
+                   "the derivative of order %d of %s cannot be set; valid: orders 1 to 3 of a "
+                   "continuous input",
+                   order[i], variable->name);
+            return fmi2Error;
+        }
+        if (!isfinite(value[i])) {
+            report(in, fmi2Error, "the derivative of order %d of %s = %s is refused: it must be "
+                   "finite",
+                   order[i], variable->name, repr_of(value[i], text));
+            return fmi2Error;
+        }
+        set_input(in, order[i] * INPUTS + variable->index, value[i]);
+    }
+    inputs_were_set(in);
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference vr[],
+                                        size_t count, const fmi2Integer order[], fmi2Real value[])
+{
+    struct instance *in = c;
+    for (size_t i = 0; i < count; i++) {
+        const struct variable *variable = of_type(in, vr[i], 'R'), *derivative = NULL;
+        if (!variable) return fmi2Error;
+        for (int k = 0; k < VARIABLE_COUNT && order[i] == 1; k++)
+            if (VARIABLES[k].role == DERIVATIVE && variable->role == OUTPUT
+                && OUTPUT_OF_DERIVATIVE[VARIABLES[k].index] == variable->index)
+                derivative = VARIABLES + k;
+        if (!derivative) {
+            report(in, fmi2Error,
+                   "the derivative of order %d of %s is not known; valid: order 1 of an output v "
+                   "that has an output der(v)",
+                   order[i], variable->name);
+            return fmi2Error;
+        }
+        if (!computed_value(in, derivative, value + i)) return fmi2Error;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[],
+                                        size_t unknowns, const fmi2ValueReference known[],
+                                        size_t knowns, const fmi2Real seed[], fmi2Real value[])
+{
+    (void)unknown, (void)unknowns, (void)known, (void)knowns, (void)seed, (void)value;
+    return unsupported(c, "fmi2GetDirectionalDerivative is not provided by this FMU");
+}
+
+/* -- stepping --------------------------------------------------------------------------------- */
+
+static bool may_step(const struct instance *in, double t, double h, struct reason *why)
+{
+    double own = in->state[TIME], rounding = TIME_ROUNDING * greater(1.0, fabs(own));
+    char text[32];
+    if (!(0.0 < h && h < INFINITY)) {
+        explain(why, "the step size must be positive and finite");
+        return false;
+    }
+    if (!(fabs(t - own) <= rounding)) {
+        explain(why, "this instance is at t = %s", repr_of(own, text));
+        return false;
+    }
+    if (in->state[HAS_STOP] != 0.0 && t + h > in->state[STOP_TIME] + rounding) {
+        explain(why, "it ends after the stop time %s", repr_of(in->state[STOP_TIME], text));
+        return false;
+    }
+    return true;
+}
+
+fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_set_state)
+{
+    struct instance *in = c;
+    struct reason why;
+    size_t size = (size_t)STATES * sizeof(double);
+    double old_step = in->state[INNER_STEP];
+    (void)no_set_state;
+    if (mode_of(in) != STEPPING) return illegal(in, "fmi2DoStep");
+    if (!may_step(in, t, h, &why)) {
+        report(in, fmi2Error, "the step from t = %.9g by %.9g is refused: %s", t, h, why.text);
+        return fmi2Error;
+    }
+    memcpy(in->old_x, in->x, size);
+    if (!advance(in, t, h, &why)) {
+        memcpy(in->x, in->old_x, size);
+        in->state[INNER_STEP] = old_step;
+        report(in, fmi2Discard, "the step from t = %.9g by %.9g is discarded: %s", t, h, why.text);
+        return fmi2Discard;
+    }
+    in->state[TIME] = t + h;
+    in->state[SINCE] = h;
+    forget_computed(in);
+    return fmi2OK;
+}
+
+fmi2Status fmi2CancelStep(fmi2Component c)
+{
+    return unsupported(c, "fmi2CancelStep: no step runs in the background");
+}
+
+fmi2Status fmi2GetStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Status *value)
+{
+    (void)kind, (void)value;
+    return unsupported(c, "fmi2GetStatus: no step runs in the background");
+}
+
+fmi2Status fmi2GetRealStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Real *value)
+{
+    struct instance *in = c;
+    if (kind != fmi2LastSuccessfulTime)
+        return unsupported(c, "fmi2GetRealStatus: only fmi2LastSuccessfulTime is known");
+    *value = in->state[TIME];
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetIntegerStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Integer *value)
+{
+    (void)kind, (void)value;
+    return unsupported(c, "fmi2GetIntegerStatus: FMI 2.0 defines no such status");
+}
+
+fmi2Status fmi2GetBooleanStatus(fmi2Component c, const fmi2StatusKind kind, fmi2Boolean *value)
+{
+    if (kind != fmi2Terminated)
+        return unsupported(c, "fmi2GetBooleanStatus: only fmi2Terminated is known");
+    *value = fmi2False;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2String *value)
+{
+    (void)kind, (void)value;
+    return unsupported(c, "fmi2GetStringStatus: no step runs in the background");
+}
+
+/* -- state ------------------------------------------------------------------------------------ */
+
+fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
+{
+    struct instance *in = c;
+    if (!*state) *state = malloc(state_length() * sizeof(double));
+    if (!*state) return unsupported(in, "fmi2GetFMUstate: there is no memory left");
+    if (!in->settled) settle(in); /* so that x are the start values */
+    memcpy(*state, in->state, state_length() * sizeof(double));
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
+{
+    struct instance *in = c;
+    const double *given = state, *constants;
+    if (!state) return unsupported(in, "fmi2SetFMUstate: the state is NULL");
+    constants = given + (in->constants - in->state);
+    bool same = in->settled
+                && memcmp(constants, in->constants, (size_t)CONSTANTS * sizeof(double)) == 0;
+    memcpy(in->state, given, state_length() * sizeof(double));
+    forget_computed(in);
+    if (!same) {
+        /* Binding sets x to the start values, so the state is copied once more. Parameters that
+           were refused before are refused again when they are needed. */
+        in->settled = false;
+        if (settle(in)) memcpy(in->state, given, state_length() * sizeof(double));
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
+{
+    (void)c;
+    if (state) {
+        free(*state);
+        *state = NULL;
+    }
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
+{
+    if (!state) return unsupported(c, "fmi2SerializedFMUstateSize: the state is NULL");
+    *size = serialized_size();
+    return fmi2OK;
+}
+
+fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
+{
+    if (!state || size < serialized_size())
+        return unsupported(c, "fmi2SerializeFMUstate: the state is NULL, or the size is less than "
+                              "that of fmi2SerializedFMUstateSize");
+    serialize(state, (unsigned char *)bytes);
+    return fmi2OK;
+}
+
+fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size,
+                                   fmi2FMUstate *state)
+{
+    struct instance *in = c;
+    double *read = malloc(state_length() * sizeof(double));
+    if (!read) return unsupported(in, "fmi2DeSerializeFMUstate: there is no memory left");
+    const char *fault = deserialize((const unsigned char *)bytes, size, read);
+    if (fault) {
+        free(read);
+        report(in, fmi2Error, "the state is refused: it is %s", fault);
+        return fmi2Error;
+    }
+    *state = read;
+    return fmi2OK;
+}

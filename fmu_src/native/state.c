@@ -1,0 +1,71 @@
+/* A head (format, key of the model, checksum of the body), then the numbers, little-endian. */
+
+#include <math.h>
+#include <string.h>
+
+#include "block.h"
+#include "state.h"
+
+enum { FORMAT = 8, KEY = 32, CHECK = 8, HEAD = FORMAT + KEY + CHECK, NUMBER = 8 };
+static const unsigned char MAGIC[FORMAT] = {'c', 'g', 'l', 'n', 'a', 't', 'v', '1'};
+
+static void write_number(uint64_t value, unsigned char *bytes)
+{
+    for (int i = 0; i < NUMBER; i++) bytes[i] = (unsigned char)(value >> (8 * i));
+}
+
+static uint64_t read_number(const unsigned char *bytes)
+{
+    uint64_t value = 0;
+    for (int i = 0; i < NUMBER; i++) value |= (uint64_t)bytes[i] << (8 * i);
+    return value;
+}
+
+/* FNV-1a: G. Fowler, L. C. Noll, K.-P. Vo, D. Eastlake, RFC 9923. */
+static uint64_t checksum(const unsigned char *bytes, size_t size)
+{
+    uint64_t hash = UINT64_C(0xCBF29CE484222325);
+    for (size_t i = 0; i < size; i++) hash = (hash ^ bytes[i]) * UINT64_C(0x100000001B3);
+    return hash;
+}
+
+size_t serialized_size(void) { return HEAD + NUMBER * state_length(); }
+
+void serialize(const double *state, unsigned char *bytes)
+{
+    for (size_t i = 0; i < state_length(); i++) {
+        uint64_t bits;
+        memcpy(&bits, state + i, sizeof bits);
+        write_number(bits, bytes + HEAD + NUMBER * i);
+    }
+    memcpy(bytes, MAGIC, FORMAT);
+    memcpy(bytes + FORMAT, MODEL_KEY, KEY);
+    write_number(checksum(bytes + HEAD, NUMBER * state_length()), bytes + FORMAT + KEY);
+}
+
+/* Whether an instance could have come to be in this state. */
+static bool is_possible(const double *s)
+{
+    for (size_t i = 0; i < state_length(); i++)
+        if (!isfinite(s[i])) return false;
+    return (s[MODE] == INSTANTIATED || s[MODE] == INITIALIZATION || s[MODE] == STEPPING
+            || s[MODE] == TERMINATED)
+           && (s[HAS_STOP] == 0.0 || s[HAS_STOP] == 1.0) && 0.0 < s[TOLERANCE]
+           && s[TOLERANCE] < 1.0 && s[INNER_STEP] > 0.0 && s[SINCE] >= 0.0;
+}
+
+const char *deserialize(const unsigned char *bytes, size_t size, double *state)
+{
+    if (!bytes || size < HEAD || memcmp(bytes, MAGIC, FORMAT) != 0)
+        return "no serialised state of a native FMU";
+    if (memcmp(bytes + FORMAT, MODEL_KEY, KEY) != 0)
+        return "the serialised state of another model or build";
+    if (size != serialized_size()
+        || read_number(bytes + FORMAT + KEY) != checksum(bytes + HEAD, size - HEAD))
+        return "a serialised state that was truncated or altered";
+    for (size_t i = 0; i < state_length(); i++) {
+        uint64_t bits = read_number(bytes + HEAD + NUMBER * i);
+        memcpy(state + i, &bits, sizeof bits);
+    }
+    return is_possible(state) ? NULL : "a serialised state that was altered";
+}

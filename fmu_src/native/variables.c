@@ -1,0 +1,131 @@
+/* Values of variables: inputs over a step, theta, and what follows from the states. */
+
+#include <math.h>
+
+#include "block.h"
+
+void forget_computed(struct instance *in)
+{
+    in->outputs_known = in->derivatives_known = false;
+}
+
+/* Find the smooth piece of all profiles at t. */
+bool theta_at(struct instance *in, double t, struct reason *why)
+{
+    struct smooth *smooth = &in->smooth;
+    if (smooth->known && smooth->start <= t && t < smooth->end) return true;
+    smooth->known = false;
+    smooth->start = -INFINITY;
+    smooth->end = INFINITY;
+    for (int j = 0; j < PROFILES; j++) {
+        double start, end;
+        if (!profile_segment(in->profiles + j, t, &start, &end, why)) return false;
+        smooth->start = greater(smooth->start, start);
+        smooth->end = lesser(smooth->end, end);
+    }
+    smooth->known = true;
+    return true;
+}
+
+/* theta(t), or the signals and time, on the piece last found. */
+void theta_values(struct instance *in, double t)
+{
+    const double *dtheta = in->inputs + 4 * INPUTS;
+    for (int j = 0; j < PROFILES; j++)
+        in->theta[j] = TIMED ? profile_value(in->profiles + j, t)
+                             : profile_value(in->profiles + j, t) + dtheta[j];
+    if (TIMED) in->theta[PROFILES] = t;
+}
+
+/* Coefficients of each input over the step: v, der(v), der(v,2)/2, der(v,3)/6. */
+void input_cubics(struct instance *in)
+{
+    const double *v = in->inputs;
+    for (int i = 0; i < INPUTS; i++) {
+        double *c = in->cubics + 4 * i;
+        c[0] = v[i];
+        c[1] = v[INPUTS + i];
+        c[2] = v[2 * INPUTS + i] / 2.0;
+        c[3] = v[3 * INPUTS + i] / 6.0;
+    }
+}
+
+static bool are_finite(struct instance *in, enum role role, const double *values, int count)
+{
+    bool finite = true;
+    for (int vr = 0; vr < VARIABLE_COUNT; vr++) {
+        const struct variable *variable = VARIABLES + vr;
+        if (variable->role != role || variable->index >= count
+            || isfinite(values[variable->index]))
+            continue;
+        finite = false;
+        report(in, fmi2Error,
+               "%s left the range of floating-point numbers at t = %.9g; %s", variable->name,
+               in->state[TIME],
+               in->state[MODE] < STEPPING
+                   ? "take less extreme parameters, start values or inputs"
+                   : "the loop diverges: take a smaller communication step, or less extreme "
+                     "parameters and inputs");
+    }
+    return finite;
+}
+
+static bool evaluate(struct instance *in, enum role role)
+{
+    struct reason why;
+    double t = in->state[TIME], s = in->state[SINCE];
+    if (PROFILES) {
+        if (!theta_at(in, t, &why)) {
+            report(in, fmi2Error, "the outputs cannot be evaluated at t = %.9g: %s", t, why.text);
+            return false;
+        }
+        theta_values(in, t);
+        for (int j = 0; TIMED && j < PROFILES; j++)
+            in->theta[PROFILES + 1 + j] = profile_derivative(in->profiles + j, t);
+    }
+    if (role == THETA || role == NEXT_EVENT) return true;
+    input_cubics(in);
+    for (int i = 0; i < INPUTS; i++) {
+        const double *c = in->cubics + 4 * i;
+        in->v[i] = s == 0.0 ? in->inputs[i] : c[0] + s * (c[1] + s * (c[2] + s * c[3]));
+        in->slopes[i] = c[1] + s * (2.0 * c[2] + s * 3.0 * c[3]);
+    }
+    if (role == OUTPUT) {
+        model_outputs(in->bound, in->x, in->v, in->theta, in->outputs);
+        in->outputs_known = are_finite(in, OUTPUT, in->outputs, OUTPUTS);
+        return in->outputs_known;
+    }
+    model_derivatives(in->bound, in->x, in->v, in->slopes, in->theta, in->derivatives);
+    in->derivatives_known = are_finite(in, DERIVATIVE, in->derivatives, DERIVATIVES);
+    return in->derivatives_known;
+}
+
+/* The value of a Real variable; false where it cannot be computed, which is then logged. */
+bool computed_value(struct instance *in, const struct variable *variable, double *value)
+{
+    int i = variable->index;
+    switch (variable->role) {
+    case INPUT: *value = in->inputs[i]; return true;
+    case CONSTANT: *value = in->constants[i]; return true;
+    default: break;
+    }
+    if (!in->settled && !settle(in)) {
+        report(in, fmi2Error, "%s", in->parameter_fault.text);
+        return false;
+    }
+    switch (variable->role) {
+    case OUTPUT:
+        if (!in->outputs_known && !evaluate(in, OUTPUT)) return false;
+        *value = in->outputs[i];
+        return true;
+    case DERIVATIVE:
+        if (!in->derivatives_known && !evaluate(in, DERIVATIVE)) return false;
+        *value = in->derivatives[i];
+        return true;
+    case GAIN: *value = in->gains[i]; return true;
+    default:
+        if (!evaluate(in, variable->role)) return false;
+        *value = variable->role == THETA ? in->theta[i] : in->smooth.end;
+        return true;
+    }
+}

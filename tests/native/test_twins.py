@@ -1,0 +1,203 @@
+"""The native FMUs against their Python twins: the same interface, and equal bits over a run."""
+
+import ctypes
+import math
+import random
+from pathlib import Path
+
+import fmpy
+import pytest
+
+from tests.fmus.instance import FMUS, Instance, loaded
+
+NATIVE = FMUS / "native"
+NAMES = sorted(path.stem for path in NATIVE.glob("*.fmu"))
+
+
+def _both(name: str):  # type: ignore[no-untyped-def]
+    return loaded(FMUS / f"{name}.fmu"), loaded(NATIVE / f"{name}.fmu")
+
+
+def _same(one: list[float], other: list[float]) -> bool:
+    return [float(x).hex() for x in one] == [float(x).hex() for x in other]
+
+
+def _drive(instance: Instance, seed: int, **start: float) -> list[list[float]]:
+    """Outputs and local variables over a run with steps, cubics and values from a seed.
+
+    A law can be driven out of the range of numbers: the status of each step is in the rows, too.
+    """
+    draw = random.Random(seed)
+    instance.start(**start)
+    rows = [instance.get(*instance.outputs)]
+    t = 0.0
+    for _ in range(20):
+        values = {name: draw.uniform(-1.0, 1.0) for name in instance.inputs}
+        instance.assign(values)
+        rows.append(instance.get(*instance.outputs))
+        h = draw.choice((1e-4, 1e-3, 0.02, 0.1))
+        status = instance.step(t, h)
+        t += h if status == 0 else 0.0
+        rows.append([float(status), *instance.get(*instance.outputs)])
+    assert sum(row[0] == 0.0 for row in rows[2::2]) > 8
+    return rows
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_variables_are_those_of_the_twin(name: str) -> None:
+    one, other = (
+        fmpy.read_model_description(str(folder / f"{name}.fmu")) for folder in (FMUS, NATIVE)
+    )
+    facts = [
+        [
+            (v.name, v.valueReference, v.type, v.causality, v.variability, v.initial, v.start)
+            for v in description.modelVariables
+        ]
+        for description in (one, other)
+    ]
+    assert facts[0] == facts[1]
+    assert one.guid != other.guid
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_run_is_equal_to_the_last_bit(name: str) -> None:
+    one, other = _both(name)
+    with one as (python,), other as (native,):
+        rows = [_drive(instance, 7) for instance in (python, native)]
+        assert len(rows[0]) == len(rows[1]) == 41
+        for expected, actual in zip(*rows, strict=True):
+            assert _same(expected, actual)
+
+
+PROFILE = {
+    "profile[1].mean": -0.3,
+    "profile[1].sine[1].amplitude": 0.4,
+    "profile[1].sine[1].omega": 3.0,
+    "profile[1].square[1].amplitude": 0.5,
+    "profile[1].square[1].period": 0.7,
+    "profile[1].square[1].phase": 0.3,
+    "profile[1].square[2].amplitude": 0.2,
+    "profile[1].square[2].period": 1.4,
+    "profile[1].chirp[1].amplitude": 0.6,
+    "profile[1].chirp[1].omega_start": 1.0,
+    "profile[1].chirp[1].omega_end": 9.0,
+    "profile[1].chirp[1].duration": 2.0,
+    "profile[1].telegraph[1].amplitude": 0.7,
+    "profile[1].telegraph[1].rate": 5.0,
+}
+
+
+@pytest.mark.parametrize("name", ["ScalarPlant", "ObserverFormPlant", "Disturbance"])
+def test_every_term_of_a_profile_is_equal_to_the_last_bit(name: str) -> None:
+    one, other = _both(name)
+    with one as (python,), other as (native,):
+        rows = [_drive(instance, 3, **PROFILE) for instance in (python, native)]
+        assert all(_same(a, b) for a, b in zip(*rows, strict=True))
+
+
+def test_gains_are_equal_to_the_last_bit() -> None:
+    one, other = _both("OutputFeedbackController")
+    draw = random.Random(11)
+    with one as (python,), other as (native,):
+        gains = [name for name in python.references if name.startswith("k[")]
+        for _ in range(8):
+            epsilon = 10 ** draw.uniform(-2.0, 0.5)
+            values = {"epsilon": epsilon, "r": 1.0 + 10 ** draw.uniform(0.1, 3.0) / epsilon}
+            found = []
+            for instance in (python, native):
+                instance.slave.reset()
+                instance.start(**values)
+                found.append(instance.get(*gains))
+            assert _same(*found), values
+
+
+def test_infeasible_values_are_refused_with_the_smallest_feasible_r() -> None:
+    with loaded(NATIVE / "OutputFeedbackController.fmu") as (native,):
+        native.slave.setupExperiment(startTime=0.0)
+        native.slave.enterInitializationMode()
+        native.assign({"r": 1.5, "epsilon": 0.01})
+        with pytest.raises(Exception, match="fmi2ExitInitializationMode"):
+            native.slave.exitInitializationMode()
+        (message,) = native.errors()
+    with loaded(FMUS / "OutputFeedbackController.fmu") as (python,):
+        python.start(r=1.5, epsilon=0.01)
+        assert message == python.errors()[0]
+    assert "the smallest feasible r is" in message
+
+
+@pytest.mark.parametrize("name", ["StrictFeedbackPlant", "OutputFeedbackController", "Noise"])
+def test_a_serialised_state_continues_in_another_instance(name: str) -> None:
+    with loaded(NATIVE / f"{name}.fmu", count=2) as (one, other):
+        one.start()
+        assert one.step(0.0, 0.3) == 0
+        state = one.slave.getFMUstate()
+        data = one.slave.serializeFMUstate(state)
+        one.slave.freeFMUstate(state)
+        other.slave.setFMUstate(other.slave.deSerializeFMUstate(data))
+        for instance in (one, other):
+            assert instance.step(0.3, 0.4) == 0
+        assert _same(one.get(*one.outputs), other.get(*other.outputs))
+        for wrong in (b"", data[:-8], data[:60] + b"\x01" + data[61:], b"x" * len(data)):
+            pointer = ctypes.c_void_p()
+            status = other.slave.dll.fmi2DeSerializeFMUstate(
+                ctypes.c_void_p(other.slave.component),
+                wrong,
+                ctypes.c_size_t(len(wrong)),
+                ctypes.byref(pointer),
+            )
+            assert status == 3
+            assert pointer.value is None
+
+
+def test_input_derivatives_are_the_inputs_der() -> None:
+    with loaded(NATIVE / "StateFeedbackController.fmu", count=2) as (one, other):
+        for instance in (one, other):
+            instance.start()
+        one.assign({"x[1]": 0.5, "der(x[1])": 2.0, "der(x[1],2)": -3.0})
+        other.assign({"x[1]": 0.5})
+        reference = other.references["x[1]"]
+        other.slave.setRealInputDerivatives([reference, reference], [1, 2], [2.0, -3.0])
+        for instance in (one, other):
+            assert instance.step(0.0, 0.1) == 0
+        assert _same(one.get(*one.outputs), other.get(*other.outputs))
+        u = one.references["u"]
+        assert one.slave.getRealOutputDerivatives([u], [1]) == one.get("der(u)")
+
+
+def test_bad_calls_return_an_error_and_change_nothing() -> None:
+    with loaded(NATIVE / "ScalarController.fmu") as (native,):
+        assert native.step(0.0, 0.1) == 3
+        native.start()
+        for h in (0.0, -1.0, math.nan):
+            assert native.step(0.0, h) == 3
+        assert native.step(5.0, 0.1) == 3
+        before = native.get(*native.outputs)
+        with pytest.raises(Exception, match="fmi2SetReal"):
+            native.assign({"x": math.inf})
+        with pytest.raises(Exception, match="fmi2SetReal"):
+            native.assign({"gamma": 2.0})
+        assert native.get(*native.outputs) == before
+        assert native.step(0.0, 0.1) == 0
+    assert "x = inf is refused: it must be finite" in native.errors()[-2]
+
+
+def test_a_diverging_step_is_discarded() -> None:
+    with loaded(NATIVE / "ScalarPlant.fmu") as (native,):
+        native.start()
+        native.set(u=1e308)
+        before = native.get("x")
+        assert native.step(0.0, 1e9) == 2
+        assert native.get("x") == before
+
+
+def test_a_library_refuses_the_guid_of_another_fmu(tmp_path: Path) -> None:
+    twin = fmpy.read_model_description(str(FMUS / "ScalarPlant.fmu"))
+    folder = fmpy.extract(str(NATIVE / "ScalarPlant.fmu"), str(tmp_path))
+    slave = fmpy.fmi2.FMU2Slave(
+        guid=twin.guid,
+        unzipDirectory=folder,
+        modelIdentifier="ScalarPlant",
+        instanceName="wrong",
+    )
+    with pytest.raises(Exception, match="instantiate"):
+        slave.instantiate()
