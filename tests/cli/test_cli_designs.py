@@ -187,7 +187,7 @@ def test_build_of_a_bad_spec_is_one_line(congelation, tmp_path):
 
 
 def test_an_interruption_is_one_line(congelation, monkeypatch, tmp_path):
-    def interrupted(*specs: Path, out: Path) -> list[Path]:
+    def interrupted(*specs: Path, **options: object) -> list[Path]:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(designs, "build_fmus", interrupted)

@@ -78,7 +78,9 @@ def test_a_run_that_hangs_is_ended_and_the_rest_goes_on(tmp_path: Path) -> None:
         1.0: "COMPLETED",
         2.0: "TIMED_OUT",
     }
-    assert found[2.0]["message"] == "The run took longer than 2 s; see sweep.timeout, --timeout."
+    assert found[2.0]["message"] == (
+        "The run took longer than 2 s; see sweep.timeout, --timeout. No FMI call was under way."
+    )
 
 
 def test_a_pilot_that_hangs_is_ended(tmp_path: Path) -> None:

@@ -10,8 +10,7 @@ import pytest
 from benchmarks.coupling.parts import build
 from benchmarks.coupling.problems import problem
 from congelation.results.results import open_results
-
-from .test_cli import congelation
+from tests.studies import command
 
 SCENARIO = """
 title = "A line of black boxes"
@@ -55,7 +54,9 @@ def written(folder: Path, parts: Path, name: str, step: float, coupling: str = "
 
 def test_black_boxes_without_states_get_error_bars(tmp_path: Path, parts: Path) -> None:
     file = written(tmp_path, parts, "ladder", 0.02)
-    done = congelation("run", file, "--trust", "--progress", "quiet", folder=tmp_path)
+    done = command(
+        "run", file, "--out", tmp_path / "results" / "line", "--trust", "--progress", "quiet"
+    )
     assert done.returncode == 0, done.stderr
     (line,) = [line for line in done.stdout.splitlines() if "trust: " in line]
     assert "trust: within" in line
@@ -74,9 +75,11 @@ def test_black_boxes_without_states_get_error_bars(tmp_path: Path, parts: Path) 
 
 def test_further_runs_are_asked_for_by_name(tmp_path: Path, parts: Path) -> None:
     file = written(tmp_path, parts, "ladder", 0.1)
-    done = congelation("run", file, "--trust=order", "--progress", "quiet", folder=tmp_path)
+    done = command(
+        "run", file, "--out", tmp_path / "results" / "line", "--trust=order", "--progress", "quiet"
+    )
     assert done.returncode == 0, done.stderr
     assert "3.5 runs" in done.stdout
-    done = congelation("run", file, "--trust=all", folder=tmp_path)
+    done = command("run", file, "--out", tmp_path / "results" / "line", "--trust=all")
     assert done.returncode == 2
     assert "'order', 'probe'" in " ".join(done.stderr.replace("│", " ").split())

@@ -142,6 +142,7 @@ MISTAKES = {
 }
 
 
+@pytest.mark.filterwarnings("ignore:.*has no connection")
 @pytest.mark.parametrize(("old", "new", "message"), MISTAKES.values(), ids=MISTAKES)
 def test_what_cannot_be_verified_is_told_before_it_runs(
     tmp_path: Path, old: str, new: str, message: str
