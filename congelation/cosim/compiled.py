@@ -23,7 +23,7 @@ import numpy.typing as npt
 from congelation.cosim.coupling.hermite import HermiteState, Plan
 from congelation.cosim.coupling.points import KEPT, Points
 from congelation.cosim.ensemble import Ensemble, Transfer
-from congelation.cosim.recording import EveryStep, Rows
+from congelation.cosim.recording import NODES, EveryStep, OutputGrid, Rows
 from congelation.cosim.step_control import StepSize
 
 __all__ = [
@@ -138,6 +138,18 @@ class _Plan(ctypes.Structure):
     ]
 
 
+class _Grid(ctypes.Structure):
+    _fields_ = [
+        ("interval", ctypes.c_double),
+        ("n_sampled", ctypes.c_ssize_t),
+        ("places", ctypes.c_void_p),
+        ("nominal", ctypes.c_void_p),
+        ("samples", ctypes.c_void_p),
+        ("times", ctypes.c_double * NODES),
+        ("n_times", ctypes.c_int),
+    ]
+
+
 class _Memory(ctypes.Structure):
     _fields_ = [
         ("times", ctypes.c_double * KEPT),
@@ -149,10 +161,12 @@ class _Memory(ctypes.Structure):
         ("step", ctypes.c_double),
         ("error_before", ctypes.c_double),
         ("rejected", ctypes.c_int),
+        ("n_grids", ctypes.c_int),
+        ("grids", ctypes.POINTER(_Grid)),
     ]
 
 
-VERSION = 1
+VERSION = 2
 """Of the library that fits these structures; as in loop.c."""
 
 
@@ -387,7 +401,26 @@ class CompiledPolynomials(_Compiled):
         )
         self._table = np.zeros((2, KEPT, links))
         self._J = np.zeros((unknowns, unknowns))
-        self._memory = _Memory(table=self._address(self._table), J=self._address(self._J))
+        # Those of the grids that have something to judge.
+        self._grids = [r for r in rows if isinstance(r, OutputGrid) and r.columns.sampled.size]
+        self._samples = [np.empty((NODES, grid.columns.sampled.size)) for grid in self._grids]
+        self._memory = _Memory(
+            table=self._address(self._table),
+            J=self._address(self._J),
+            n_grids=len(self._grids),
+            grids=(_Grid * len(self._grids))(
+                *(
+                    _Grid(
+                        interval=grid.interval,
+                        n_sampled=grid.columns.sampled.size,
+                        places=self._address(grid.columns.sampled),
+                        nominal=self._address(grid.columns.nominal),
+                        samples=self._address(samples),
+                    )
+                    for grid, samples in zip(self._grids, self._samples, strict=True)
+                )
+            ),
+        )
 
     def adaptive(
         self,
@@ -415,6 +448,13 @@ class CompiledPolynomials(_Compiled):
         self._load(state)
         memory.step, memory.error_before = size.length, size.error_before
         memory.rejected = size.rejected
+        # The compiled loop goes on from the points of the grids, and keeps its own; the grids get
+        # them afterwards.
+        for k, (grid, samples) in enumerate(zip(self._grids, self._samples, strict=True)):
+            count = len(grid.times)
+            memory.grids[k].times[:count] = grid.times
+            memory.grids[k].n_times = count
+            samples[:count] = grid.samples
         now = ctypes.c_double(time)
         code = self.called(
             self.library.run_adaptive,

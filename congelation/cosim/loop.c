@@ -80,7 +80,7 @@ typedef struct {
 
 /* Raised with each change of a structure or a function here: a library of another version, left over
    from an earlier installation, is not used. */
-EXPORT int loop_version(void) { return 1; }
+EXPORT int loop_version(void) { return 2; }
 
 static int refused(Loop *loop, int status, const char *function) {
     loop->status = status;
@@ -195,13 +195,26 @@ ended:
 
 /* -- derivative and hermite: polynomials ------------------------------------------------------------ */
 
-enum { LOW = 4, HIGH = 6, KEPT = 3 };
+enum { LOW = 4, HIGH = 6, KEPT = 3, NODES = 6 };
 
 static const double LONGEST_EXTRAPOLATION = 20.0;  /* points.py */
 static const double RESIDUE = 16.0 / 3150.0;       /* interpolant.py */
 static const double SAFETY = 0.9, LARGEST_CHANGE = 4.0, SMALLEST_CHANGE = 0.2;  /* step_control.py */
 static const double PROPORTIONAL = 0.4, INTEGRAL = 0.7, SMALLEST_ERROR = 1e-4;
 static const double STRETCH = 1.1, SMALLEST_STEP = 16.0, SMALLEST_SHARE = 1e-15;  /* stepping.py */
+static const double SAMPLED_TOLERANCE = 1e-3, MOST_AMPLIFIED = 200.0;  /* recording.py */
+
+/* OutputGrid of recording.py, as far as it judges steps: its latest communication points since a jump,
+   and what is recorded there of values without derivatives. */
+typedef struct {
+    double interval;          /* steps that are no longer need no judgement */
+    ptrdiff_t n_sampled;
+    const ptrdiff_t *places;  /* of these values in Y */
+    const double *nominal;
+    double *samples;          /* (NODES, n_sampled), of the times, in their order */
+    double times[NODES];      /* the newest last */
+    int n_times;
+} Grid;
 
 /* HermiteState and StepSize: what a run takes from one step to the next. */
 typedef struct {
@@ -211,7 +224,8 @@ typedef struct {
     double *J;                /* (n, n) */
     double length;            /* for which J holds; 0: there is none yet */
     double step, error_before;
-    int rejected;
+    int rejected, n_grids;
+    Grid *grids;              /* those that judge steps */
 } Memory;
 
 /* What follows from the coupling and the system once and for all. */
@@ -585,6 +599,70 @@ static void follow(Memory *memory, double end, const double *new, ptrdiff_t L) {
     }
 }
 
+/* The weights of the value of `differentiation` in polynomial.py, (n,). */
+static void extrapolation_weights(const double *nodes, int n, double at, double *weights) {
+    double product = 1.0, distance = nodes[0] - at;
+    weights[0] = 1.0;
+    for (int i = 1; i < n; i++) {
+        const double previous = distance;
+        double partial = 1.0;
+        distance = nodes[i] - at;
+        for (int j = 0; j < i; j++) {
+            const double gap = nodes[i] - nodes[j];
+            partial *= gap;
+            if (j == i - 1) weights[i] = -product * previous * weights[j] / partial;
+            weights[j] = distance * weights[j] / gap;
+        }
+        product = partial;
+    }
+}
+
+/* `unresolved` of Session and OutputGrid: above 1, the step to `end`, which has been made, is too long
+   for what is recorded in it. */
+static double unresolved(const Loop *loop, const Memory *memory, double end) {
+    double surprise = 0.0;
+    for (int g = 0; g < memory->n_grids; g++) {
+        const Grid *grid = &memory->grids[g];
+        const int n = grid->n_times;
+        if (end - grid->times[n - 1] <= grid->interval) continue;
+        double weights[NODES], amplified = INFINITY;
+        int first = -1;
+        while (amplified > MOST_AMPLIFIED) {  /* that of the newest value alone is 1 */
+            first++;
+            extrapolation_weights(grid->times + first, n - first, end, weights);
+            amplified = 0.0;
+            for (int i = 0; i < n - first; i++) amplified += fabs(weights[i]);
+        }
+        for (ptrdiff_t k = 0; k < grid->n_sampled; k++) {
+            double predicted = 0.0;
+            for (int i = 0; i < n - first; i++)
+                predicted += weights[i] * grid->samples[(first + i) * grid->n_sampled + k];
+            const double found = loop->Y[grid->places[k]];
+            const double size = fabs(predicted) > fabs(found) ? fabs(predicted) : fabs(found);
+            const double error = fabs(found - predicted) / (grid->nominal[k] + size);
+            if (error > surprise) surprise = error;
+        }
+    }
+    return surprise / SAMPLED_TOLERANCE;
+}
+
+/* A communication point, as OutputGrid.point. */
+static void sample(const Loop *loop, Memory *memory, double time) {
+    for (int g = 0; g < memory->n_grids; g++) {
+        Grid *grid = &memory->grids[g];
+        const ptrdiff_t S = grid->n_sampled;
+        if (grid->n_times == NODES) {
+            grid->n_times--;
+            memmove(grid->times, grid->times + 1, (NODES - 1) * sizeof(double));
+            memmove(grid->samples, grid->samples + S, (NODES - 1) * (size_t)S * sizeof(double));
+        }
+        grid->times[grid->n_times] = time;
+        for (ptrdiff_t k = 0; k < S; k++)
+            grid->samples[grid->n_times * S + k] = loop->Y[grid->places[k]];
+        grid->n_times++;
+    }
+}
+
 static double end_of(double time, double length, double target) {
     const double left = target - time;
     if (left <= STRETCH * length) return target;
@@ -617,8 +695,14 @@ EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *ti
             int code = plan->iterates ? attempt(loop, plan, memory, *time, end, J, &trial)
                                          : extrapolated(loop, plan, memory, *time, end, &trial);
             if (code == DONE && !is_finite(loop)) code = UNUSUAL;
-            const double scaled = trial.error / plan->tolerance;
-            if (code == DONE && scaled <= 1.0) {
+            double scaled = trial.error / plan->tolerance;
+            const int fits = code == DONE && scaled <= 1.0;
+            if (fits) {
+                /* A step may be good for the loop and too long for what is recorded in it. */
+                const double recorded = unresolved(loop, memory, end);
+                if (recorded > scaled) scaled = recorded;
+            }
+            if (fits && scaled <= 1.0) {
                 /* StepSize.accepted */
                 const double error = scaled > SMALLEST_ERROR ? scaled : SMALLEST_ERROR;
                 double change = SAFETY * pow(error, -INTEGRAL / trial.order)
@@ -639,7 +723,8 @@ EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *ti
             const double size = fabs(*time) > fabs(end) ? fabs(*time) : fabs(end);
             const double rounding = SMALLEST_STEP * unit_in_the_last_place(size);
             const double share = SMALLEST_SHARE * horizon;
-            if (code != DONE || length <= (rounding > share ? rounding : share)) return UNUSUAL;
+            const double smallest = rounding > share ? rounding : share;
+            if (code != DONE || (!fits && length <= smallest)) return UNUSUAL;
             /* StepSize.refused */
             double change = SMALLEST_CHANGE;
             if (isfinite(scaled)) {
@@ -655,6 +740,7 @@ EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *ti
         *time = end;
         if (end < target || records_target) {
             record(loop, end);
+            sample(loop, memory, end);
             loop->steps++;
         }
     }

@@ -20,17 +20,19 @@ import numpy.typing as npt
 import pyarrow
 import pyarrow.parquet
 
-from congelation.cosim.coupling.polynomial import differentiation, interpolation
+from congelation.cosim.coupling.polynomial import differentiation, interpolation, product
 from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.system import Recorded
 from congelation.errors import InvalidInput
 
 __all__ = [
     "BLOCK_ROWS",
+    "NODES",
     "Columns",
     "EveryStep",
     "Memory",
     "Output",
+    "OutputGrid",
     "ParquetFile",
     "Recorder",
     "Rows",
@@ -280,7 +282,10 @@ class Columns:
     smooth, slopes : integer arrays, shape (K,)
         The columns whose derivatives are read, and where those stand in Y.
     sampled : integer array, shape (S,)
-        The columns known at communication points alone: Real and without derivatives.
+        Where the values stand in Y that are known at communication points alone: Real and without
+        derivatives.
+    nominal : array, shape (S,)
+        Their nominal values.
     """
 
     def __init__(self, ensemble: Ensemble, recorded: Sequence[Recorded], *, latched: bool) -> None:
@@ -318,24 +323,23 @@ class Columns:
         self.smooth: Indices = np.flatnonzero(every != NO_DERIVATIVE)
         self.slopes: Indices = every[self.smooth]
         apart = {column for column, _ in (*self._slow, *self._latched)}
-        self.sampled: Indices = np.array(
-            [c for c in np.flatnonzero(every == NO_DERIVATIVE) if c not in apart], np.intp
-        )
-        self._nominal = np.array([item.variable.nominal for item in recorded])
+        alone = [c for c in np.flatnonzero(every == NO_DERIVATIVE).tolist() if c not in apart]
+        self.sampled: Indices = self._places[alone]
+        self.nominal: Floats = np.array([recorded[c].variable.nominal for c in alone], np.float64)
 
     def surprise(self, predicted: Floats) -> float:
-        """How far the sampled columns are now from predicted values, shape (S,).
+        """How far the sampled values are now from predicted ones, shape (S,).
 
         The largest of them, relative to nominal value plus size. Unlike a row, it is of values
         before their conversion to the unit of a driven input.
         """
         found = self.sample()
-        scale = self._nominal[self.sampled] + np.maximum(np.abs(predicted), np.abs(found))
+        scale = self.nominal + np.maximum(np.abs(predicted), np.abs(found))
         return float((np.abs(found - predicted) / scale).max(initial=0.0))
 
     def sample(self) -> Floats:
-        """The sampled columns as they are now, shape (S,)."""
-        return self.ensemble.Y[self._places[self.sampled]]
+        """The sampled values as they are now, shape (S,)."""
+        return self.ensemble.Y[self.sampled]
 
     @property
     def follows(self) -> bool:
@@ -370,12 +374,9 @@ class Rows(ABC):
     ----------
     columns : Columns
         What is recorded.
-    judges : bool
-        Whether `unresolved` has to be asked.
     """
 
     columns: Columns
-    judges = False
 
     @abstractmethod
     def start(self, time: float) -> None:
@@ -466,29 +467,36 @@ class OutputGrid(Rows):
     recorder : Recorder
     interval : float
         dt in seconds.
+
+    Attributes
+    ----------
+    times : list of float
+        The latest communication points since a jump, at most `NODES`.
+    samples : list of array, shape (S,)
+        What `columns.sample` was there.
     """
 
     def __init__(self, columns: Columns, recorder: Recorder, interval: float) -> None:
         self.columns = columns
-        self.judges = bool(columns.sampled.size)
+        self.interval = interval
         self._recorder = recorder
-        self._interval = interval
         self._first = 0.0
         self._count = 0
-        self._times: list[float] = []
+        self.times: list[float] = []
         self._values: list[Floats] = []
         self._derivatives: list[Floats] = []
-        self._samples: list[Floats] = []
+        self.samples: list[Floats] = []
 
     def unresolved(self, time: float) -> float:
-        if time - self._times[-1] <= self._interval or not self.judges:
+        if time - self.times[-1] <= self.interval or not self.columns.sampled.size:
             return 0.0
         # As many of the latest points as do not amplify rounding; the very latest always may.
-        for first in range(len(self._times)):
-            weights, _ = differentiation(np.array(self._times[first:]), time)
-            if np.abs(weights).sum() <= MOST_AMPLIFIED:
+        for first in range(len(self.times)):
+            weights, _ = differentiation(np.array(self.times[first:]), time)
+            # Summed in the order of the compiled loop, which judges in the same way.
+            if np.abs(weights).cumsum()[-1] <= MOST_AMPLIFIED:
                 break
-        predicted = weights @ np.array(self._samples[first:])
+        (predicted,) = product(weights[None], np.array(self.samples[first:]))
         return self.columns.surprise(predicted) / SAMPLED_TOLERANCE
 
     def start(self, time: float) -> None:
@@ -497,12 +505,12 @@ class OutputGrid(Rows):
 
     def point(self, time: float) -> None:
         self._add(time)
-        if len(self._times) == NODES:
+        if len(self.times) == NODES:
             # Two points late, so that an interval has its neighbours on the right.
             self._emit(NODES // 2)
 
     def before_jump(self, time: float) -> None:
-        if time > self._times[-1]:
+        if time > self.times[-1]:
             self.point(time)
         self._close()
 
@@ -511,46 +519,46 @@ class OutputGrid(Rows):
 
     def finish(self, time: float, *, completed: bool) -> None:
         self._close()
-        self._recorder.row(self._times[-1])[:] = self._values[-1]
+        self._recorder.row(self.times[-1])[:] = self._values[-1]
 
     def _begin(self, time: float) -> None:
-        self._times, self._values, self._derivatives, self._samples = [], [], [], []
+        self.times, self._values, self._derivatives, self.samples = [], [], [], []
         self._add(time)
 
     def _add(self, time: float) -> None:
         row = np.empty(self.columns.width)
         self.columns.fill(row)
         keep = NODES - 1
-        self._times = [*self._times[-keep:], time]
+        self.times = [*self.times[-keep:], time]
         self._values = [*self._values[-keep:], row]
         slopes = self.columns.ensemble.Y[self.columns.slopes]
         self._derivatives = [*self._derivatives[-keep:], slopes]
-        self._samples = [*self._samples[-keep:], self.columns.sample()]
+        self.samples = [*self.samples[-keep:], self.columns.sample()]
 
     def _close(self) -> None:
         """What is left: nothing smooth follows on the right."""
-        self._emit(len(self._times) - 1)
+        self._emit(len(self.times) - 1)
 
     def _grid_point(self) -> float:
-        return self._first + self._count * self._interval
+        return self._first + self._count * self.interval
 
     def _emit(self, count: int) -> None:
         """Rows at the grid points in the first `count` intervals that have none yet."""
         for k in range(count):
-            end = self._times[k + 1] - GRID_ROUNDING * self._interval
+            end = self.times[k + 1] - GRID_ROUNDING * self.interval
             while (time := self._grid_point()) < end:
                 self._recorder.row(time)[:] = self._at(time, k)
                 self._count += 1
 
     def _at(self, time: float, k: int) -> Floats:
         """The recorded values, shape (M,), at a time in interval k."""
-        if abs(time - self._times[k]) <= GRID_ROUNDING * self._interval:
+        if abs(time - self.times[k]) <= GRID_ROUNDING * self.interval:
             return self._values[k]
-        weights, _ = differentiation(np.array(self._times), time)
+        weights, _ = differentiation(np.array(self.times), time)
         row: Floats = weights @ np.array(self._values)
         nodes = slice(max(k - 1, 0), max(k - 1, 0) + SMOOTH_NODES)
         smooth = self.columns.smooth
         values = [row[smooth] for row in self._values[nodes]]
-        weights, _ = interpolation(self._times[nodes], time)
+        weights, _ = interpolation(self.times[nodes], time)
         row[smooth] = weights @ np.array([*values, *self._derivatives[nodes]])
         return row

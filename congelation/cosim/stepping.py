@@ -507,11 +507,8 @@ def run_adaptive(
 def _compiled_adaptive(session: Session, tolerance: float) -> CompiledPolynomials | None:
     """The compiled loop for steps chosen by a tolerance, if this is a run that it makes."""
     stepper, rows = session.stepper, session.rows
-    judged = any(each.judges for each in rows)  # step by step, which the compiled loop does not
-    if (
-        judged
-        or not isinstance(stepper, HermiteStepper | DerivativeStepper)
-        or not fits(session.ensemble, rows)
+    if not isinstance(stepper, HermiteStepper | DerivativeStepper) or not fits(
+        session.ensemble, rows
     ):
         return None
     plan = stepper.plan()

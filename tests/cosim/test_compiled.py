@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from congelation.cosim import Experiment, Output, Result, System, perform
+from congelation.cosim import Experiment, Memory, Output, Result, System, perform
 from congelation.cosim import compiled as module
+from congelation.cosim.stepping import Session
 from congelation.scenario.load import load_scenario
 from tests.scenarios import ROOT
 
@@ -67,12 +68,37 @@ def fig2(**changes: object) -> tuple[System, Experiment]:
 def test_which_rows_are_kept(
     monkeypatch: pytest.MonkeyPatch, coupling: str, output: Output
 ) -> None:
-    # On a grid, steps to a tolerance are compiled where all that is recorded has a derivative.
-    changes = {"record": ("plant.x", "controller.u")}
-    if coupling != "hermite":
-        changes |= {**HELD, "coupling": coupling}
+    changes = {} if coupling == "hermite" else {**HELD, "coupling": coupling}
     system, experiment = fig2(**changes)
     assert_equal(*both(monkeypatch, system, experiment, output=output))
+
+
+@pytest.mark.parametrize("coupling", ["hermite", "derivative"])
+@pytest.mark.parametrize("name", ["scalar", "fig2"])
+def test_values_without_derivatives_shorten_steps(
+    monkeypatch: pytest.MonkeyPatch, name: str, coupling: str
+) -> None:
+    """theta and theta_hat on two grids, across jumps of theta."""
+    scenario = load_scenario(ROOT / "scenarios" / f"{name}.toml")
+    case = scenario.case({"controller.damping": False})
+    changes = {"stop_time": 1.5, "coupling": coupling, "tolerance": 1e-4, "output_interval": None}
+    experiment = replace(case.experiment, **changes)
+    coarse = [Memory(), Memory()]
+    output = [[Output(interval=1e-3), Output(interval=0.02, sink=sink)] for sink in coarse]
+    with monkeypatch.context() as patch:
+        judged = []
+        patch.setattr(Session, "unresolved", lambda self, time: judged.append(time) or 0.0)
+        fast = perform(case.system, experiment, output=output[0])
+    assert not judged, "Python has made a step"
+    with monkeypatch.context() as patch:
+        patch.setattr(module, "library", lambda: None)
+        slow = perform(case.system, experiment, output=output[1])
+    assert_equal(fast, slow)
+    np.testing.assert_array_equal(coarse[0].rows(), coarse[1].rows())
+    smooth = replace(experiment, record=("plant.x", "controller.u"))
+    unjudged = perform(case.system, smooth, output=Output(interval=1e-3))
+    assert fast.statistics.events == unjudged.statistics.events > 0
+    assert fast.statistics.macro_steps > unjudged.statistics.macro_steps
 
 
 @pytest.mark.parametrize("most", [1, 5, 100])
