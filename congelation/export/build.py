@@ -10,11 +10,13 @@ import sys
 import tempfile
 import warnings
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
 from xml.etree import ElementTree
 
-from pythonfmu.builder import FmuBuilder
+from pythonfmu.builder import FmuBuilder, get_model_description
 
 from congelation.errors import CongelationError, DesignWarning, InvalidInput
 from congelation.export.archive import write_archive
@@ -122,23 +124,20 @@ def _build_fmu(fmu: FmuSpec, spec: Spec | BlockSpec, out: Path, native: bool) ->
     with tempfile.TemporaryDirectory(prefix="congelation_build_") as temporary:
         folder = Path(temporary)
         staged = stage(fmu, spec, sources, folder / "staged")
-        raw = _pythonfmu(staged, folder / "raw")
         target = out / f"{fmu.name}.fmu"
         finished = folder / target.name
-        _finish(raw, finished, staged, sources)
         if native:
-            native_fmu(finished, finished, fmu, sources)
+            native_fmu(finished, fmu, staged, _described(fmu, staged), sources)
+        else:
+            _finish(_pythonfmu(staged, folder / "raw"), finished, staged, sources)
         validate(finished)
         target.write_bytes(finished.read_bytes())
     return target
 
 
 def _pythonfmu(staged: Staged, out: Path) -> Path:
-    """Run pythonfmu's builder, which imports the slave, and leave the interpreter as it was."""
-    path = list(sys.path)
-    # An FMU of the same sources may be loaded in this process, with its own copy of pythonfmu.
-    loaded = _taken_out(staged.package)
-    try:
+    """Run pythonfmu's builder, which imports the slave."""
+    with _imported(staged):
         return Path(
             FmuBuilder.build_FMU(
                 staged.slave,
@@ -148,6 +147,32 @@ def _pythonfmu(staged: Staged, out: Path) -> Path:
                 **_OPTIONS,
             )
         )
+
+
+def _described(fmu: FmuSpec, staged: Staged) -> bytes:
+    """The modelDescription.xml of a Python FMU that is not packed."""
+    with _imported(staged):
+        _, root = get_model_description(staged.slave, staged.slave.stem, fmu.model.name)
+    kind = root.find("CoSimulation")
+    for option, value in _OPTIONS.items():
+        kind.set(option, str(value).lower())
+    return complete(ElementTree.tostring(root), staged.interface, staged.digest, _tool())
+
+
+@contextmanager
+def _imported(staged: Staged) -> Iterator[None]:
+    """A time in which the slave may be imported; then the interpreter is as it was.
+
+    Raises
+    ------
+    InvalidInput
+        For what pythonfmu refuses.
+    """
+    path = list(sys.path)
+    # An FMU of the same sources may be loaded in this process, with its own copy of pythonfmu.
+    loaded = _taken_out(staged.package)
+    try:
+        yield
     except ValueError as error:
         raise InvalidInput(f"{staged.name}: {error}") from error
     finally:
@@ -175,9 +200,6 @@ def _finish(raw: Path, target: Path, staged: Staged, sources: Path) -> None:
             finished[name] = _IMPORT.sub("from .pythonfmu.", data.decode("utf-8")).encode("utf-8")
         else:
             finished[name] = data
-    tool = "congelation {} with PythonFMU {}".format(
-        importlib.metadata.version("congelation"), importlib.metadata.version("pythonfmu")
-    )
     description = finished.pop("modelDescription.xml")
     finished[f"resources/{staged.package}/pythonfmu/__init__.py"] = b""
     # The names and places that FMI 2.0.4, section 2.3, gives these two.
@@ -189,10 +211,16 @@ def _finish(raw: Path, target: Path, staged: Staged, sources: Path) -> None:
     finished["model.png"] = staged.icon
     # modelDescription.xml comes first: hosts that stream the archive find it at once.
     ordered = [
-        ("modelDescription.xml", complete(description, staged.interface, staged.digest, tool)),
+        ("modelDescription.xml", complete(description, staged.interface, staged.digest, _tool())),
         *sorted(finished.items()),
     ]
     write_archive(target, ordered)
+
+
+def _tool() -> str:
+    """The generationTool of modelDescription.xml."""
+    own, theirs = (importlib.metadata.version(name) for name in ("congelation", "pythonfmu"))
+    return f"congelation {own} with PythonFMU {theirs}"
 
 
 def _update_manifest(manifest: Path, path: Path, fmu: FmuSpec, spec: Spec | BlockSpec) -> None:

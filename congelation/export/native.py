@@ -2,7 +2,8 @@
 
 `model_source` writes the tables and equations of a model for the C layer in fmu_src/native;
 `native_fmu` compiles both and takes modelDescription.xml and the documentation over from the
-Python FMU, so that names, value references, defaults and dependencies are the same.
+Python FMU, so that names, value references, defaults and dependencies are the same. Nothing of
+the Python FMU is packed for that.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ import subprocess
 import sys
 import tempfile
 import uuid
-import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from functools import lru_cache
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -24,8 +25,9 @@ import fmpy
 from congelation.errors import CongelationError, InvalidInput
 from congelation.export.archive import write_archive
 from congelation.export.equations import Special, constants_of, equation_blocks
-from congelation.export.interface import Interface, interface_of
+from congelation.export.interface import Interface
 from congelation.export.spec import FmuSpec
+from congelation.export.stage import Staged
 from congelation.export.straight_line import c_functions
 from congelation.theory.model import Gain, Model
 
@@ -43,24 +45,25 @@ _FLAGS = (
     "-ffp-contract=off",
     "-fPIC",
     "-fvisibility=hidden",
-    "-shared",
-    "-Wl,-Bsymbolic",
 )
-_DROPPED = ("binaries/", "resources/", "documentation/externalDependencies.txt")
-_LICENSE = "documentation/licenses/license.txt"
+_MODEL = "model.c"
 
 
-def native_fmu(twin: Path, target: Path, fmu: FmuSpec, sources: Path) -> None:
-    """Write the native twin of a built Python FMU.
+def native_fmu(
+    target: Path, fmu: FmuSpec, staged: Staged, description: bytes, sources: Path
+) -> None:
+    """Write the native twin of a Python FMU.
 
     Parameters
     ----------
-    twin : Path
-        The Python FMU.
     target : Path
         The file to write.
     fmu : FmuSpec
-        What `twin` was built of.
+        What to build.
+    staged : Staged
+        The Python FMU's sources, from which documentation and icon are taken.
+    description : bytes
+        The Python FMU's modelDescription.xml.
     sources : Path
         The folder fmu_src.
 
@@ -72,12 +75,9 @@ def native_fmu(twin: Path, target: Path, fmu: FmuSpec, sources: Path) -> None:
         There is no C compiler, or it failed.
     """
     _check(fmu)
-    interface = interface_of(fmu.model, fmu.profiles)
-    with zipfile.ZipFile(twin) as archive:
-        entries = {name: archive.read(name) for name in archive.namelist()}
-    about = entries["resources/spec.json"]
+    about = staged.about.read_bytes()
     layer = {file.name: file.read_bytes() for file in sorted((sources / "native").glob("*.[ch]"))}
-    body = model_source(fmu.model, fmu.special, interface)
+    body = model_source(fmu.model, fmu.special, staged.interface)
     key = hashlib.sha256(body.encode("utf-8"))
     for name, data in (*layer.items(), ("spec.json", about)):
         key.update(name.encode("utf-8") + len(data).to_bytes(8, "big") + data)
@@ -87,15 +87,18 @@ def native_fmu(twin: Path, target: Path, fmu: FmuSpec, sources: Path) -> None:
         f'const char MODEL_GUID[] = "{guid}";',
         f"const unsigned char MODEL_KEY[32] = {{{', '.join(map(str, key.digest()))}}};",
     ]
-    model = body + "\n".join(identity) + "\n"
-    library = _compiled(fmu.name, {**layer, "model.c": model.encode("utf-8")})
-
-    finished = {name: data for name, data in entries.items() if not name.startswith(_DROPPED)}
-    description, identifier = _description(finished.pop("modelDescription.xml"), guid)
-    finished[_LICENSE] = (sources / "native" / "licenses.txt").read_bytes()
-    finished["resources/spec.json"] = about
-    finished[f"binaries/{_PLATFORM}/{identifier}.so"] = library
-    write_archive(target, [("modelDescription.xml", description), *sorted(finished.items())])
+    model = (body + "\n".join(identity) + "\n").encode("utf-8")
+    code = {**layer, _MODEL: model}
+    xml, identifier = _description(description, guid, (n for n in sorted(code) if n[-2:] == ".c"))
+    entries = {
+        "documentation/index.html": (staged.documentation / "index.html").read_bytes(),
+        "documentation/licenses/license.txt": (sources / "native" / "licenses.txt").read_bytes(),
+        "model.png": staged.icon,
+        "resources/spec.json": about,
+        f"binaries/{_PLATFORM}/{identifier}.so": _library(fmu.name, layer, model),
+        **{f"sources/{name}": data for name, data in code.items()},
+    }
+    write_archive(target, [("modelDescription.xml", xml), *sorted(entries.items())])
 
 
 def _check(fmu: FmuSpec) -> None:
@@ -326,38 +329,70 @@ def _equations(model: Model, special: Special | None) -> list[str]:
 # -- binary ---------------------------------------------------------------------------------------
 
 
-def _compiled(name: str, sources: dict[str, bytes]) -> bytes:
-    """The shared library of these sources for 64-bit Linux."""
+def _library(name: str, layer: Mapping[str, bytes], model: bytes) -> bytes:
+    """The shared library of a model over the layer, for 64-bit Linux.
+
+    Raises
+    ------
+    CongelationError
+        There is no C compiler, or it failed.
+    """
     compiler = os.environ.get("CC") or "gcc"
     if sys.platform != "linux" or shutil.which(compiler.split()[0]) is None:
         raise CongelationError(
             f"{name}: a native FMU is compiled on 64-bit Linux by '{compiler}', which is not here; "
             "install gcc, or name a C compiler by the environment variable CC"
         )
+    try:
+        objects = dict(_objects(compiler, tuple(layer.items())))
+        headers = {file: data for file, data in layer.items() if file.endswith(".h")}
+        given = {**headers, **objects, _MODEL: model}
+        options = ["-shared", "-Wl,-Bsymbolic", _MODEL, *objects, "-lm", "-o", "library.so"]
+        return _compiled(compiler, given, options, "library.so")["library.so"]
+    except _CompilerError as error:
+        raise CongelationError(f"{name}: {compiler} failed: {error}") from error
+
+
+@lru_cache(maxsize=2)
+def _objects(compiler: str, layer: tuple[tuple[str, bytes], ...]) -> tuple[tuple[str, bytes], ...]:
+    """The object files of the layer, which is the same for all FMUs of a build."""
+    files = [file for file, _ in layer if file.endswith(".c")]
+    return tuple(_compiled(compiler, dict(layer), ["-c", *files], "*.o").items())
+
+
+class _CompilerError(Exception):
+    """The compiler failed; its first error."""
+
+
+def _compiled(
+    compiler: str, files: Mapping[str, bytes], options: Sequence[str], results: str
+) -> dict[str, bytes]:
+    """What a compiler makes of `files` in an empty folder: the files that match `results`."""
     headers = Path(fmpy.__file__).parent / "c-code"
     with tempfile.TemporaryDirectory(prefix="congelation_native_") as temporary:
         folder = Path(temporary)
-        for file, data in sources.items():
+        for file, data in files.items():
             (folder / file).write_bytes(data)
-        files = sorted(file for file in sources if file.endswith(".c"))
-        command = [*compiler.split(), *_FLAGS, f"-I{headers}", *files, "-lm", "-o", "library.so"]
+        command = [*compiler.split(), *_FLAGS, f"-I{headers}", *options]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if done.returncode:
-            first = next(
-                (line for line in done.stderr.splitlines() if "error" in line), "no reason"
-            )
-            raise CongelationError(f"{name}: {compiler} failed: {first}")
-        return (folder / "library.so").read_bytes()
+            lines = done.stderr.splitlines()
+            raise _CompilerError(next((line for line in lines if "error" in line), "no reason"))
+        return {file.name: file.read_bytes() for file in sorted(folder.glob(results))}
 
 
-def _description(xml: bytes, guid: str) -> tuple[bytes, str]:
-    """The twin's modelDescription.xml with the GUID of the native FMU, and its
-    modelIdentifier, after which the library is named."""
+def _description(xml: bytes, guid: str, files: Iterable[str]) -> tuple[bytes, str]:
+    """The twin's modelDescription.xml with the GUID and the source files of the native FMU, and
+    its modelIdentifier, after which the library is named."""
     root = ElementTree.fromstring(xml)
     root.set("guid", guid)
     root.set("generationTool", str(root.get("generationTool")).split(" with ")[0] + " (native)")
     kind = root.find("CoSimulation")
     if kind is None:
         raise ValueError("modelDescription.xml has no CoSimulation")
+    source_files = ElementTree.SubElement(kind, "SourceFiles")
+    for file in files:
+        ElementTree.SubElement(source_files, "File", {"name": file})
+    ElementTree.indent(root)
     text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return text + b"\n", str(kind.get("modelIdentifier"))

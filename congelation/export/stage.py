@@ -55,6 +55,7 @@ class Staged:
     digest: str
     slave: Path
     resources: tuple[Path, ...]
+    about: Path
     documentation: Path
     icon: bytes
     interface: Interface
@@ -106,7 +107,8 @@ def stage(fmu: FmuSpec, spec: Spec | BlockSpec, sources: Path, folder: Path) -> 
         ),
         "utf-8",
     )
-    (folder / "spec.json").write_text(about, "utf-8")
+    spec_file = folder / "spec.json"
+    spec_file.write_text(about, "utf-8")
     documentation = folder / "documentation"
     documentation.mkdir()
     (documentation / "index.html").write_text(page, "utf-8")
@@ -115,7 +117,8 @@ def stage(fmu: FmuSpec, spec: Spec | BlockSpec, sources: Path, folder: Path) -> 
         package,
         digest,
         slave,
-        (folder / package, folder / "spec.json"),
+        (folder / package, spec_file),
+        spec_file,
         documentation,
         icon,
         interface,
