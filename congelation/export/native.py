@@ -88,15 +88,13 @@ def native_fmu(
         f"const unsigned char MODEL_KEY[32] = {{{', '.join(map(str, key.digest()))}}};",
     ]
     model = (body + "\n".join(identity) + "\n").encode("utf-8")
-    code = {**layer, _MODEL: model}
-    xml, identifier = _description(description, guid, (n for n in sorted(code) if n[-2:] == ".c"))
+    xml, identifier = _description(description, guid)
     entries = {
         "documentation/index.html": (staged.documentation / "index.html").read_bytes(),
         "documentation/licenses/license.txt": (sources / "native" / "licenses.txt").read_bytes(),
         "model.png": staged.icon,
         "resources/spec.json": about,
         f"binaries/{_PLATFORM}/{identifier}.so": _library(fmu.name, layer, model),
-        **{f"sources/{name}": data for name, data in code.items()},
     }
     write_archive(target, [("modelDescription.xml", xml), *sorted(entries.items())])
 
@@ -381,18 +379,14 @@ def _compiled(
         return {file.name: file.read_bytes() for file in sorted(folder.glob(results))}
 
 
-def _description(xml: bytes, guid: str, files: Iterable[str]) -> tuple[bytes, str]:
-    """The twin's modelDescription.xml with the GUID and the source files of the native FMU, and
-    its modelIdentifier, after which the library is named."""
+def _description(xml: bytes, guid: str) -> tuple[bytes, str]:
+    """The twin's modelDescription.xml with the GUID of the native FMU, and its
+    modelIdentifier, after which the library is named."""
     root = ElementTree.fromstring(xml)
     root.set("guid", guid)
     root.set("generationTool", str(root.get("generationTool")).split(" with ")[0] + " (native)")
     kind = root.find("CoSimulation")
     if kind is None:
         raise ValueError("modelDescription.xml has no CoSimulation")
-    source_files = ElementTree.SubElement(kind, "SourceFiles")
-    for file in files:
-        ElementTree.SubElement(source_files, "File", {"name": file})
-    ElementTree.indent(root)
     text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return text + b"\n", str(kind.get("modelIdentifier"))
