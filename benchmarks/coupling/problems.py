@@ -572,7 +572,6 @@ def _thermostat() -> Problem:
             **limits,
             r=2.0,
         ),
-        known=False,
     )
 
 

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.again import Again, Ahead, At, divided
+from congelation.cosim.coupling import Derivative
 from congelation.cosim.experiment import Experiment, slave_tolerance
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Memory, Output
@@ -43,10 +44,8 @@ NEAR_PEAK, AT_PEAK = 0.5, 1.2
 the peak, it is the error but for this factor."""
 
 STARTING = 4
-"""Intervals after the start in which derivatives that come from history are of order 1."""
-
-HISTORY_ORDER = 2
-"""Of couplings that may take derivatives from the past values of an output."""
+"""Intervals after the start in which extrapolation by derivatives that come from history is of
+order 1. (`hermite` makes ends agree, so it has its order from the start.)"""
 
 JITTER = 2.0
 """What a band is wider where something switches: delays of up to a step add up at random."""
@@ -291,10 +290,10 @@ def _judged(
         order, notes = _observed(again, difference, ~switched, peaks, names)
     if switches:
         # Both runs may be late alike: what a variable changes over a step counts as well.
-        difference = np.maximum(difference, _over_a_step(again) / 2.0)
+        difference = np.maximum(difference, _by_late_switches(again, switched) / 2.0)
     floor = max(FLOOR, SLAVE_FLOOR * (slave_tolerance(again.experiment) or 0.0)) * peaks
     powers = np.full(difference.shape, np.maximum(order, LEAST_ORDER))
-    if statistics.order == HISTORY_ORDER:
+    if isinstance(again.experiment.chosen_coupling, Derivative):
         begun = time <= again.points[: STARTING + 1][-1]
         powers[begun] = np.minimum(powers[begun], 1.0)
     found = bands(time, difference, powers, peaks) * (JITTER if switches else 1.0)
@@ -388,12 +387,24 @@ def _percent(share: float) -> str:
     return f"{100.0 * share:.2g} %" if share < 10.0 else f"{share:.2g} times"
 
 
-def _over_a_step(again: Again) -> Floats:
-    """By how much the values differ from those one communication step earlier, shape (N, M)."""
+def _by_late_switches(again: Again, switched: Mask) -> Floats:
+    """By how much the values differ from those one communication step earlier, shape (N, M).
+
+    Of variables that are not switched, the largest so far, of the rows at which a switched one
+    changes: shorter steps later on do not undo that it was late. Where only what is not recorded
+    switches, every row may be such a row.
+    """
     k = np.searchsorted(again.points, again.time).clip(1, len(again.points) - 1)
     before = again.time - np.diff(again.points)[k - 1]
     earlier = [np.interp(before, again.time, column) for column in again.values.T]
-    return np.asarray(np.abs(again.values - np.column_stack(earlier)), dtype=np.float64)
+    change: Floats = np.abs(again.values - np.column_stack(earlier))
+    if switched.any():
+        changes = (np.diff(again.values[:, switched], axis=0) != 0.0).any(axis=1)
+        # It may have been due in the step before or after as well.
+        near = np.convolve(changes, np.ones(3), "full")[: len(change)] > 0.0
+        smooth = np.where(near[:, None], change, 0.0)[:, ~switched]
+        change[:, ~switched] = np.maximum.accumulate(smooth)
+    return change
 
 
 def _is_switched(item: Recorded, values: Floats) -> bool:

@@ -81,7 +81,8 @@ def driven(
             components[one.component] = replace(target, start=start)
             continue
         flat = Profile.from_spec(profile, base=str(folder)).to_flat()
-        start = {f"profile[1].{k}": v for k, v in flat.items()} | {"x0[1]": 0.0}
+        start = {f"profile[1].{k}": v for k, v in flat.items()}
+        start |= {"x0[1]": 0.0, "u": 0.0}  # theta is put out; the plant itself stays at rest
         components[one.source] = Component(one.source, source.absolute(), start)
         profiles[one.source] = {"theta[1]": profile}
         connections.append(Connection(f"{one.source}.theta[1]", f"{one.component}.{one.variable}"))

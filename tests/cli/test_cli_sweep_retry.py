@@ -22,13 +22,13 @@ pytestmark = pytest.mark.slow
 # Of each variant one run is short and the other takes seconds.
 UNEVEN = """
 [sweep]
-timeout = 1
+timeout = 3
 trajectories = true
 [[sweep.axes]]
 set = "experiment.stop_time"
-values = [0.1, 1000]
+values = [0.1, 3000]
 """
-LONGER = ("timeout = 1", "timeout = 300")
+LONGER = ("timeout = 3", "timeout = 600")
 
 
 def test_runs_that_timed_out_are_done_again_with_a_longer_timeout(tmp_path: Path) -> None:
@@ -37,7 +37,7 @@ def test_runs_that_timed_out_are_done_again_with_a_longer_timeout(tmp_path: Path
     assert sweep(file, out).returncode == 1
     before = {row["run_id"]: row for row in rows(out)}
     ended = {(row["set.experiment.stop_time"], row["status"]) for row in before.values()}
-    assert ended == {(0.1, "COMPLETED"), (1000.0, "TIMED_OUT")}
+    assert ended == {(0.1, "COMPLETED"), (3000.0, "TIMED_OUT")}
     times = {run.run_id: run.wall_time for run in Results(out).runs}
 
     file = write(tmp_path, SCALAR + UNEVEN, LONGER)

@@ -132,6 +132,17 @@ def test_a_switched_variable_is_told_by_when_it_differs(parts):
     assert (result.column("error(relay.y)")[wrong] > 0.0).mean() > 0.9
 
 
+def test_steps_without_a_switch_make_no_band_of_late_switches(parts):
+    """Chosen steps are short at switches, and long between them."""
+    found = problem("thermostat")
+    result = run(found, parts, "state", "hermite", tolerance=1e-2, trust=True)
+    error = np.abs(result.values[:, :2] - found.exact(result.time)[:, :2])
+    found_bands = result.trust.bands[:, :2]
+    assert (found_bands >= error).mean(axis=0).min() > 0.95
+    assert (found_bands.max(axis=0) >= error.max(axis=0)).all()
+    assert result.trust.verdicts[:2] == ("rough", "rough")  # of errors of 2 %
+
+
 def test_a_second_run_that_fails_leaves_the_first_with_its_error_unknown(parts):
     result = run(problem("algebraic_loop_1.05"), parts, "held", "jacobi", step=1e-3, trust=True)
     assert result.completed

@@ -59,6 +59,7 @@ def test_certificate_bounds_controller_1_from_above(quick: Attack) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*read from a table")
 def test_finds_are_admissible_and_are_the_same_through_fmus(quick: Attack, tmp_path: Path) -> None:
     files = write_finds(quick, tmp_path)
     assert len(files) == len(quick.finds)
@@ -174,6 +175,7 @@ def test_command_writes_a_scenario(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*read from a table")
 def test_the_strike_hits_controller_2_alone(tmp_path: Path) -> None:
     scenario = load_scenario(ROOT / "scenarios" / "strike.toml")
     one, two = (record.metrics for record in run(scenario, out=tmp_path).runs)

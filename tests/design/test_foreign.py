@@ -22,6 +22,7 @@ def scenario(tmp_path: Path) -> Scenario:
     return load_scenario(write(tmp_path, SCALAR, ("step = 0.01", "step = 0.02")))
 
 
+@pytest.mark.filterwarnings("ignore:.*another component drives")
 def test_input_and_parameter_that_do_most_harm_are_played_again(
     scenario: Scenario, tmp_path: Path
 ) -> None:
