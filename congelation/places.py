@@ -71,11 +71,9 @@ def check_folder(option: str, folder: Path) -> None:
 
 
 def check_file(option: str, file: Path) -> None:
-    """Refuse `file` where it is a folder, or its own is not there or takes no files."""
+    """Refuse `file` where it is a folder, or its own takes no files; see `check_folder`."""
     if file.is_dir():
         raise InvalidInput(f"{option} {file}: this is a folder; give the name of a file")
-    if not file.absolute().parent.is_dir():
-        raise InvalidInput(f"{option} {file}: there is no folder {file.parent}")
     check_folder(option, file.parent)
 
 

@@ -129,6 +129,7 @@ def run(
     found = _load(scenario, strict=strict, experiment=given)
     if fmu_log is not None:
         check_file("--fmu-log", fmu_log)
+        fmu_log.parent.mkdir(parents=True, exist_ok=True)
         fmu_log.write_text("", encoding="utf-8")
     folder = result_folder(found, out)
     with _interrupts():

@@ -82,6 +82,8 @@ def check(
         for option, target in (("--junit", junit), ("--json", json)):
             if target is not None:
                 check_file(option, target)
+                if not target.absolute().parent.is_dir():
+                    raise InvalidInput(f"{option} {target}: there is no folder {target.parent}")
         console = Console(stderr=True)
         with Progress(
             console=console,
