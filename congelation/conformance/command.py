@@ -81,9 +81,9 @@ def check(
         chosen = select(rule or ()) or RULES
         for option, target in (("--junit", junit), ("--json", json)):
             if target is not None:
-                check_file(option, target)
                 if not target.absolute().parent.is_dir():
                     raise InvalidInput(f"{option} {target}: there is no folder {target.parent}")
+                check_file(option, target)
         console = Console(stderr=True)
         with Progress(
             console=console,
