@@ -153,14 +153,19 @@ def _reached(
     """Find the cheapest settings by one run each, then time those, interleaved."""
     candidates: dict[str, list[Settings]] = {
         OURS: [
-            {"tolerance": t, "slave_tolerance": t * share, "stop_time": stop}
+            {
+                "coupling": "hermite",
+                "tolerance": t,
+                "slave_tolerance": t * share,
+                "stop_time": stop,
+            }
             for t in tolerances
             for share in SLAVE_SHARES
         ]
     }
     for solver in SOLVERS:
         candidates[solver] = [{"method": solver, "rtol": t, "stop_time": stop} for t in tolerances]
-    loops = {OURS: (OURS, found.loop)}
+    loops = {OURS: ("master", found.loop)}
     loops |= dict.fromkeys(SOLVERS, ("monolithic", found.loop))
     with workers(loops) as (running, failures):
         if failures:

@@ -152,8 +152,8 @@ def __dir__() -> list[str]:
 class _Face(ModuleType):
     """This module: two of its names, `sweep` and `verify`, are functions and private packages.
 
-    Python enters every imported package as an attribute of the one above it; here that would put
-    the package in the place of the function. ``from congelation.verify.x import y`` needs no such
+    Python enters every imported package as an attribute of the one above it; here that would
+    replace the function by the package. ``from congelation.verify.x import y`` needs no such
     attribute.
     """
 

@@ -27,6 +27,7 @@ class Master(Program):
         stop_time: float,
         step: float | None = None,
         tolerance: float | None = None,
+        slave_tolerance: float | None = None,
         keep_rows: bool,
     ) -> Run:
         """Rows are recorded in any case."""
@@ -36,6 +37,7 @@ class Master(Program):
             stop_time=stop_time,
             step=step,
             tolerance=tolerance,
+            slave_tolerance=slave_tolerance,
             coupling=coupling,
             record=self._record,
             pool=self._pool,

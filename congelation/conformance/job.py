@@ -1,4 +1,4 @@
-"""What a child process is told: the FMU, the rule, and what the FMU can do."""
+"""The task of a child process: the FMU, the rule, and what the FMU can do."""
 
 from __future__ import annotations
 

@@ -24,8 +24,9 @@ from congelation.cosim.coupling import (
 from congelation.cosim.experiment import Experiment
 from congelation.cosim.master import perform, simulate
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.recording import Memory, Output, ParquetFile, Sink
+from congelation.cosim.recording import Output
 from congelation.cosim.result import Result, Statistics, Status
+from congelation.cosim.sinks import Memory, ParquetFile, Sink
 from congelation.cosim.system import Component, Connection, System
 
 __all__ = [

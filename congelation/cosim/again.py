@@ -26,8 +26,9 @@ import pyarrow.parquet
 from congelation.cosim.coupling import Coupling, Hermite
 from congelation.cosim.coupling.interpolant import HIGH, LOW
 from congelation.cosim.experiment import Experiment, slave_tolerance, step_count
-from congelation.cosim.recording import Memory, Output, ParquetFile, Sink
+from congelation.cosim.recording import Output
 from congelation.cosim.result import Result, Statistics
+from congelation.cosim.sinks import Memory, ParquetFile, Sink
 from congelation.cosim.system import System
 
 __all__ = ["Again", "Ahead", "At", "divided"]

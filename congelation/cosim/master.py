@@ -17,10 +17,13 @@ from congelation.cosim.experiment import (
     require_resolved_periods,
     slave_tolerance,
 )
+from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.recording import Columns, Memory, Output, Recorder
+from congelation.cosim.recording import Columns, Output
 from congelation.cosim.result import Result, RunEnded, Statistics, Status
-from congelation.cosim.stepping import GivenPoints, Grid, Progress, Session, run_adaptive, run_fixed
+from congelation.cosim.session import Progress, Session
+from congelation.cosim.sinks import Memory, Recorder
+from congelation.cosim.stepping import run_adaptive, run_fixed
 from congelation.cosim.system import System
 from congelation.cosim.trust import trusted
 from congelation.errors import InvalidInput, SlaveError

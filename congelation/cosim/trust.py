@@ -20,8 +20,9 @@ from congelation.cosim.again import Again, Ahead, At, divided
 from congelation.cosim.coupling import Derivative
 from congelation.cosim.experiment import Experiment, slave_tolerance
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.recording import Memory, Output
+from congelation.cosim.recording import Output
 from congelation.cosim.result import Result, Trust
+from congelation.cosim.sinks import Memory
 from congelation.cosim.system import Recorded, System
 from congelation.errors import InvalidInput
 

@@ -142,7 +142,7 @@ def _objective(scenario: Scenario, name: str) -> Objective:
         if metric(specs[name].metric).loop:
             raise InvalidInput(
                 f"objective '{name}' is a metric of the loop as a whole; give one of a group of "
-                "signals (the margin of the certificate is told of every find)"
+                "signals (every find states its margin of the certificate)"
             )
         return Objective(name, specs[name])
     if name not in OBJECTIVES:

@@ -49,7 +49,7 @@ EMPHASIS = 0.25
 """An emphasised wish is asked for with so much of its value."""
 
 NEAR = 5.0
-"""Designs of the front are told of where no objective is more than so many times its wish."""
+"""Designs of the front are listed if each objective is at most so many times its wish."""
 
 INFEASIBLE = 1e3
 """The achievement of a candidate that does not exist, in units of e."""
@@ -180,11 +180,11 @@ def tune(
     wanted = _wishes(wishes, asked)
     with Candidates(bench, workers, out, resume) as candidates:
 
-        def told() -> None:
+        def count() -> None:
             progress(min(len(candidates.solved), evaluations), evaluations)
 
         for share, goal in zip(SHARES, _goals(wanted, asked), strict=True):
-            _descend(candidates, goal, int(share * evaluations), seed, told)
+            _descend(candidates, goal, int(share * evaluations), seed, count)
     points = [(np.array(v), o) for v, o in candidates.solved.items() if o is not None]
     if not points:
         raise InvalidInput(f"{spec}: no candidate could be solved for {stop_time:g} s")
@@ -214,10 +214,10 @@ def write_proposals(found: Tuning, folder: Path) -> list[Path]:
     for k, proposal in enumerate(found.front, 1):
         start = {**document["controller"].get("start", {})}
         start |= {name: _plain(value) for name, value in proposal.values.items()}
-        told = ", ".join(f"{n} {v:.4g}" for n, v in proposal.objectives.items())
+        reached = ", ".join(f"{n} {v:.4g}" for n, v in proposal.objectives.items())
         changed = {
             **document,
-            "title": f"{document.get('title', found.spec.stem)}; tuned: {told}",
+            "title": f"{document.get('title', found.spec.stem)}; tuned: {reached}",
             "controller": {**document["controller"], "start": start},
         }
         files.append(folder / f"{found.spec.stem}_{k}.toml")

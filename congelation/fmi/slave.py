@@ -213,7 +213,7 @@ class Slave:
         """fmi2DoStep from `time`; `no_return` is noSetFMUStatePriorToCurrentPoint.
 
         It is true also where a saved state may be restored: it lets an FMU flush what it has
-        buffered, while told false some FMUs begin their next step where this one began.
+        buffered; given false, some FMUs begin their next step where this one began.
 
         Raises
         ------

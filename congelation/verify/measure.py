@@ -13,7 +13,7 @@ from typing import final
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.recording import Memory, Sink
+from congelation.cosim.sinks import Memory, Sink
 from congelation.results.record import Trajectory
 from congelation.scenario.metrics import metric
 from congelation.scenario.parts import Case, MetricSpec

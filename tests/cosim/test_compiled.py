@@ -9,7 +9,7 @@ import pytest
 
 from congelation.cosim import Experiment, Memory, Output, Result, System, perform
 from congelation.cosim import compiled as module
-from congelation.cosim.stepping import Session
+from congelation.cosim.session import Session
 from congelation.scenario.load import load_scenario
 from tests.scenarios import ROOT
 

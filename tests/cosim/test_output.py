@@ -7,7 +7,7 @@ import pyarrow.parquet
 import pytest
 
 from congelation.cosim import Component, Memory, Output, ParquetFile, Status, System, simulate
-from congelation.cosim.recording import BLOCK_ROWS
+from congelation.cosim.sinks import BLOCK_ROWS
 from congelation.errors import InvalidInput
 
 from .monolithic import order, solution

@@ -18,7 +18,7 @@ from congelation.cosim import (
     simulate,
 )
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.stepping import Session
+from congelation.cosim.session import Session
 from congelation.errors import InvalidInput
 
 ADAPTIVE = [Derivative(), Derivative("jacobi"), Hermite(), Hermite(order=6), Hermite(iterations=2)]

@@ -201,7 +201,7 @@ def values_after_termination(bench: Bench) -> Iterator[str]:
 
 @dynamic("FMI2-STATE-05", "4.2.3", Level.VIOLATION)
 def status_inquiry(bench: Bench) -> Iterator[str]:
-    """After a step that was discarded, its last successful time is told, or fmi2Discard returned.
+    """The last successful time of a discarded step is available, or fmi2Discard is returned.
 
     Standard: "Returns the end time of the last successfully completed communication step. Can be
     called after fmi2DoStep(..) returned fmi2Discard."; "If a status is required which cannot be

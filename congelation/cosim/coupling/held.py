@@ -26,22 +26,9 @@ TIME_ROUNDING = 1e-9
 """A point this near to a sampling instant, in sample times, is taken for it."""
 
 
-@dataclass(frozen=True)
-class Jacobi(Coupling):
-    """Every slave steps with the values that its inputs had at the step's start; then all outputs
-    are read, and copied to the inputs.
+class _Held(Coupling):
+    """What Jacobi and GaussSeidel have in common."""
 
-    Order 1. It is what most co-simulation engines do, and what a sampled controller with a delay
-    of one sample sees.
-
-    Examples
-    --------
-    >>> system = cg.load_scenario("scenarios/scalar.toml").system
-    >>> cg.simulate(system, stop_time=0.5, step=0.05, coupling=cg.Jacobi()).status.name
-    'COMPLETED'
-    """
-
-    name: ClassVar[str] = "jacobi"
     needs_derivatives: ClassVar[bool] = False
     lands_on_events: ClassVar[bool] = False
     takes_tolerance: ClassVar[bool] = False
@@ -57,6 +44,43 @@ class Jacobi(Coupling):
         """None."""
         return {}
 
+
+class _HeldStepper(Stepper[None]):
+    """The same at work: the state is Y alone."""
+
+    def __init__(self, ensemble: Ensemble) -> None:
+        self._ensemble = ensemble
+        self._Y, self._source = ensemble.Y, ensemble.source
+        self._discrete = bool(ensemble.system.discrete_links)
+        self._watch = Watch(ensemble.nominal, extrapolated=False)
+        self.iterations = 0
+        held = sum(map(bool, ensemble.write_calls))
+        self.calls_per_iteration = held + len(ensemble.slaves) + sum(ensemble.read_calls)
+
+    def start(self, time: float, before: None) -> None:
+        self._Y.take(self._source, out=self._watch.row(time), mode="clip")
+
+    def largest_error(self) -> float:
+        return self._watch.largest()
+
+
+@dataclass(frozen=True)
+class Jacobi(_Held):
+    """Every slave steps with the values that its inputs had at the step's start; then all outputs
+    are read, and copied to the inputs.
+
+    Order 1. It is what most co-simulation engines do, and what a sampled controller with a delay
+    of one sample sees.
+
+    Examples
+    --------
+    >>> system = cg.load_scenario("scenarios/scalar.toml").system
+    >>> cg.simulate(system, stop_time=0.5, step=0.05, coupling=cg.Jacobi()).status.name
+    'COMPLETED'
+    """
+
+    name: ClassVar[str] = "jacobi"
+
     def stepper(
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
     ) -> Stepper[None]:
@@ -64,26 +88,18 @@ class Jacobi(Coupling):
         return JacobiStepper(ensemble)
 
 
-class JacobiStepper(Stepper[None]):
+class JacobiStepper(_HeldStepper):
     """`jacobi` at work."""
 
     sequential = False
 
     def __init__(self, ensemble: Ensemble) -> None:
+        super().__init__(ensemble)
         slaves = range(len(ensemble.slaves))
-        self._ensemble = ensemble
-        self._Y, self._source = ensemble.Y, ensemble.source
         self._inputs = ensemble.C[0]
-        self._discrete = bool(ensemble.system.discrete_links)
         self._hold = [ensemble.hold[m] for m in slaves if ensemble.write_calls[m]]
         self._step = [slave.step for slave in ensemble.slaves]
         self._read = [ensemble.read[m] for m in slaves if ensemble.read_calls[m]]
-        self._watch = Watch(ensemble.nominal, extrapolated=False)
-        self.iterations = 0
-        self.calls_per_iteration = len(self._hold) + len(self._step) + sum(ensemble.read_calls)
-
-    def start(self, time: float, before: None) -> None:
-        self._Y.take(self._source, out=self._watch.row(time), mode="clip")
 
     def advance(self, state: None, time: float, end: float) -> None:
         length = end - time
@@ -99,12 +115,9 @@ class JacobiStepper(Stepper[None]):
         self.iterations += 1
         self._Y.take(self._source, out=self._watch.row(end), mode="clip")
 
-    def largest_error(self) -> float:
-        return self._watch.largest()
-
 
 @dataclass(frozen=True)
-class GaussSeidel(Coupling):
+class GaussSeidel(_Held):
     """Slaves step in the declared order of the components, each with its inputs held at the newest
     values there are: those at the end of the step from components before it, those at the start
     from itself and the ones after it.
@@ -119,20 +132,6 @@ class GaussSeidel(Coupling):
     """
 
     name: ClassVar[str] = "gauss_seidel"
-    needs_derivatives: ClassVar[bool] = False
-    lands_on_events: ClassVar[bool] = False
-    takes_tolerance: ClassVar[bool] = False
-    latches: ClassVar[bool] = False
-
-    @property
-    def rolls_back(self) -> bool:
-        """No step is repeated."""
-        return False
-
-    @property
-    def periods(self) -> Mapping[str, float]:
-        """None."""
-        return {}
 
     def stepper(
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
@@ -141,27 +140,18 @@ class GaussSeidel(Coupling):
         return GaussSeidelStepper(ensemble)
 
 
-class GaussSeidelStepper(Stepper[None]):
+class GaussSeidelStepper(_HeldStepper):
     """`gauss_seidel` at work."""
 
     sequential = True
 
     def __init__(self, ensemble: Ensemble) -> None:
-        self._ensemble = ensemble
-        self._Y, self._source = ensemble.Y, ensemble.source
-        self._discrete = bool(ensemble.system.discrete_links)
+        super().__init__(ensemble)
         self._slaves = [
             # Where a slave's inputs stand in C, and their sources in Y.
             (ensemble.C[0, k], ensemble.source[k], ensemble.hold[m], slave.step, ensemble.read[m])
             for m, (slave, k) in enumerate(zip(ensemble.slaves, ensemble.columns, strict=True))
         ]
-        self._watch = Watch(ensemble.nominal, extrapolated=False)
-        self.iterations = 0
-        held = sum(map(bool, ensemble.write_calls))
-        self.calls_per_iteration = held + len(self._slaves) + sum(ensemble.read_calls)
-
-    def start(self, time: float, before: None) -> None:
-        self._Y.take(self._source, out=self._watch.row(time), mode="clip")
 
     def advance(self, state: None, time: float, end: float) -> None:
         length = end - time
@@ -174,9 +164,6 @@ class GaussSeidelStepper(Stepper[None]):
             read()
         self.iterations += 1
         self._Y.take(self._source, out=self._watch.row(end), mode="clip")
-
-    def largest_error(self) -> float:
-        return self._watch.largest()
 
 
 @dataclass(frozen=True)
