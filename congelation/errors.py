@@ -77,6 +77,8 @@ class SlaveError(CongelationError):
         Communication point at which it happened, in seconds.
     message : str
         The FMU's own logged message, or the call and the status it returned.
+    call : str
+        The fmi2 function that was refused; empty where an FMU only logged an error.
 
     Examples
     --------
@@ -84,13 +86,14 @@ class SlaveError(CongelationError):
     True
     """
 
-    def __init__(self, component: str, time: float, message: str) -> None:
+    def __init__(self, component: str, time: float, message: str, call: str = "") -> None:
         # An FMU may begin with its own name, for tools that do not say whose message it is.
         own = message.removeprefix(f"{component}: ")
         super().__init__(f"{component} at t = {time:.9g}: {own}")
         self.component = component
         self.time = time
         self.message = message
+        self.call = call
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:

@@ -112,8 +112,8 @@ EXPERIMENT = Table(
             "coupling",
             "text",
             "how inputs move between communication points",
-            "derivative",
-            choices=("jacobi", "gauss_seidel", "derivative", "hermite", "sampled"),
+            "auto",
+            choices=("auto", "jacobi", "gauss_seidel", "derivative", "hermite", "sampled"),
         ),
         Key("options", "table", "options of the coupling", table=VALUES),
         Key(

@@ -1,6 +1,6 @@
 """Measure error bars and couplings on the coupling problems: ``python -m benchmarks.coupling``.
 
-Tables go to docs/trust.md and docs/work_precision.md, the diagrams beside the latter.
+Tables go to docs/trust.md, docs/cosim.md and docs/work_precision.md, diagrams beside the latter.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
 
 from benchmarks.__main__ import Part
-from benchmarks.coupling import coverage, work
+from benchmarks.coupling import choice, coverage, work
 from benchmarks.coupling.parts import build
 from benchmarks.coupling.problems import PROBLEMS
 from benchmarks.machine import description
@@ -35,17 +35,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--quick", action="store_true", help="one problem; print, do not write")
     alone = parser.add_mutually_exclusive_group()
     alone.add_argument("--trust", action="store_true", help="only the error bars")
+    alone.add_argument("--auto", action="store_true", help="only the coupling that auto chooses")
     alone.add_argument("--work", action="store_true", help="only work and precision")
     given = parser.parse_args(arguments)
     command = " ".join(["python -m benchmarks.coupling", *(arguments or sys.argv[1:])])
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         build(folder)
-        if not given.work:
+        if not given.work and not given.auto:
             for lines in _bars(folder, quick=given.quick):
                 text = "\n".join([*description(command), "", *lines])
                 _written(DOCS / "trust.md", "error bars", text, quick=given.quick)
-        if not given.trust:
+        if not given.work and not given.trust:
+            for lines in _choices(folder, quick=given.quick):
+                text = "\n".join([*description(command), "", *lines])
+                _written(DOCS / "cosim.md", "auto", text, quick=given.quick)
+        if not given.trust and not given.auto:
             _written(WORK, "sources", "\n".join(sources()), quick=given.quick)
             for lines in _work(folder, quick=given.quick):
                 text = "\n".join([*description(command), "", *lines])
@@ -81,6 +86,19 @@ def _bars(folder: Path, *, quick: bool) -> Iterator[list[str]]:
             if ended:
                 lines += ["", "Without bars:", "", *(f"- {line}" for line in sorted(ended))]
             yield lines
+
+
+def _choices(folder: Path, *, quick: bool) -> Iterator[list[str]]:
+    """The lines of the page after each problem: a run that is broken off leaves what it has."""
+    chosen: list[choice.Chosen] = []
+    problems = PROBLEMS[-1:] if quick else PROBLEMS
+    with ProcessPoolExecutor(PROCESSES, multiprocessing.get_context("spawn")) as pool:
+        waiting = {pool.submit(choice.measure, folder, problem): problem for problem in problems}
+        for done in as_completed(waiting):
+            _say(f"auto, {waiting[done].title}")
+            chosen += done.result()
+            chosen.sort(key=lambda each: [p.name for p in PROBLEMS].index(each.problem.name))
+            yield choice.table(chosen)
 
 
 def _work(folder: Path, *, quick: bool) -> Iterator[list[str]]:

@@ -149,8 +149,9 @@ def run(
     else:
         print_summary(results)
         for record in records:
-            if record.trust_line is not None:
-                print(f"{record.variant}: {record.trust_line}")
+            for line in (record.coupling_why, record.trust_line):
+                if line is not None:
+                    print(f"{record.variant}: {line}")
         print_figures(results)
         print(results.store.index)
     complaints = [*_complaints(records)]

@@ -23,6 +23,7 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow.parquet
 
+from congelation.cosim.choice import Lack
 from congelation.cosim.coupling import Coupling, Hermite
 from congelation.cosim.coupling.interpolant import HIGH, LOW
 from congelation.cosim.experiment import Experiment, slave_tolerance, step_count
@@ -252,6 +253,8 @@ class Ahead:
         Of the first run.
     progress : callable or None
         Called with the first run's progress.
+    lacks : sequence of Lack
+        As in `perform`.
 
     Attributes
     ----------
@@ -264,7 +267,9 @@ class Ahead:
         experiment: Experiment,
         output: Output,
         progress: Callable[[float], None] | None,
+        lacks: Sequence[Lack] = (),
     ) -> None:
+        self._lacks = tuple(lacks)
         self._system, self._experiment, self._output = system, experiment, output
         self._listener = progress
         self._begun = clock.perf_counter()
@@ -311,6 +316,7 @@ class Ahead:
             tightened(experiment, 1),
             Output(interval=self._output.interval, sink=ParquetFile(rows)),
             points[1:].tolist(),
+            self._lacks,
             Path(self._folder.name, ENDED),
         )
         self._process = subprocess.Popen(
@@ -356,9 +362,9 @@ def _serve() -> None:
     """What the process does."""
     from congelation.cosim.master import perform  # which knows this module
 
-    system, experiment, output, points, ended = pickle.load(sys.stdin.buffer)
+    system, experiment, output, points, lacks, ended = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_end_with_input, daemon=True).start()
-    result = perform(system, experiment, output=output, points=points)
+    result = perform(system, experiment, output=output, points=points, lacks=lacks)
     part = ended.with_suffix(".part")
     part.write_bytes(pickle.dumps(result))
     part.replace(ended)

@@ -21,7 +21,6 @@ import numpy.typing as npt
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.system import (
     MAX_DERIVATIVE,
-    Link,
     Recorded,
     ResolvedSystem,
     derivative_name,
@@ -273,7 +272,7 @@ class Ensemble:
             [self.slope_place(*source) if derivatives else NO_DERIVATIVE for source in sources],
             np.intp,
         )
-        self.order = np.array([self._order(link) for link in self.links], np.intp)
+        self.order = np.array([self.system.input_order(link) for link in self.links], np.intp)
         self.nominal = np.array([link.output.nominal for link in self.links])
         self.columns: list[slice] = []
         self.hold: list[Call] = []
@@ -300,20 +299,8 @@ class Ensemble:
             self.writes.append(writes)
             self.hold.append(self._calls(slave, holds))
             self.write.append(self._calls(slave, writes))
-            self.write_calls.append(bool(links) + any(self._interpolates(link) for link in links))
+            self.write_calls.append(bool(links) + any(map(self.system.interpolates, links)))
             begin = columns.stop
-
-    def _order(self, link: Link) -> int:
-        """Highest derivative that a link's target takes, all lower ones included."""
-        if self._interpolates(link):
-            return MAX_DERIVATIVE
-        return next((k for k, v in enumerate(link.target_derivatives) if v is None), MAX_DERIVATIVE)
-
-    def _interpolates(self, link: Link) -> bool:
-        """Whether derivatives reach the target by fmi2SetRealInputDerivatives, rather than by
-        inputs der(v), der(v,2), der(v,3) of its own."""
-        able = self.system.members[link.target].description.can_interpolate_inputs
-        return able and link.target_derivatives[0] is None
 
     def _writes(self, columns: slice) -> list[Transfer]:
         """What sends a slave all of its columns of C."""
@@ -332,7 +319,7 @@ class Ensemble:
         ranked = [
             (order, k)
             for k, link in numbered
-            if self._interpolates(link)
+            if self.system.interpolates(link)
             for order in range(1, 1 + MAX_DERIVATIVE)
         ]
         if ranked:

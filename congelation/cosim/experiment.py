@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
 
-from congelation.cosim.coupling import Coupling, make_coupling, refuse_tolerance
+from congelation.cosim.coupling import Coupling, Derivative, make_coupling, refuse_tolerance
 from congelation.cosim.recording import Output
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import InvalidInput
@@ -65,7 +65,8 @@ class Experiment:
         output that drives it, relative to the output's nominal value plus its size.
     coupling : str or Coupling
         How inputs move between communication points: a name in
-        `congelation.cosim.coupling.COUPLINGS`, or an instance.
+        `congelation.cosim.coupling.COUPLINGS`, or an instance. "auto" stands for the most accurate
+        one that the FMUs allow.
     options : mapping
         Options of a coupling given by its name.
     slave_tolerance : float, optional
@@ -96,7 +97,7 @@ class Experiment:
     start_time: float = 0.0
     step: float | None = None
     tolerance: float | None = None
-    coupling: str | Coupling = "derivative"
+    coupling: str | Coupling = "auto"
     options: Mapping[str, object] = field(default_factory=dict)
     slave_tolerance: float | None = None
     output_interval: float | None = None
@@ -205,7 +206,8 @@ def require_abilities(system: ResolvedSystem, experiment: Experiment) -> None:
     )
     refuse_tolerance(coupling, tolerance)
     purpose = None
-    if tolerance is not None:
+    predicts = isinstance(coupling, Derivative) and coupling.control == "prediction"
+    if tolerance is not None and not predicts:
         purpose = "a tolerance (steps are taken back)"
     elif coupling.rolls_back:
         purpose = f"the coupling '{coupling.name}' (steps are repeated)"
@@ -225,7 +227,7 @@ def require_abilities(system: ResolvedSystem, experiment: Experiment) -> None:
         if purpose is not None and not member.description.can_get_and_set_state:
             raise InvalidInput(
                 f"{fmu} cannot get and set its state, which {purpose} needs; use the coupling "
-                "'derivative' with a fixed step"
+                "'auto', or 'derivative' with a fixed step"
             )
         if varies and not member.description.can_vary_step:
             raise InvalidInput(

@@ -9,7 +9,8 @@ from contextlib import ExitStack
 
 import numpy as np
 
-from congelation.cosim.coupling import Coupling
+from congelation.cosim.choice import Lack, chosen, without
+from congelation.cosim.coupling import Auto, Coupling
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.experiment import (
     Experiment,
@@ -39,7 +40,7 @@ def simulate(
     stop_time: float,
     step: float | None = None,
     tolerance: float | None = None,
-    coupling: str | Coupling = "derivative",
+    coupling: str | Coupling = "auto",
     options: Mapping[str, object] | None = None,
     record: Sequence[str] | None = None,
     output: Output | Sequence[Output] | None = None,
@@ -64,7 +65,9 @@ def simulate(
         output that drives it, relative to the output's nominal value plus its size. The error of
         the run is of that order times what the loop makes of it.
     coupling : str or Coupling
-        A name in COUPLINGS, or an instance such as ``Hermite(order=6)``.
+        A name in COUPLINGS, or an instance such as ``Hermite(order=6)``. "auto" stands for the most
+        accurate one that the FMUs allow, which a short trial finds, see
+        `congelation.cosim.choice`; `Result.choice` says which it was, and why.
     options : mapping, optional
         Options of a coupling given by its name.
     record : sequence of str, optional
@@ -130,6 +133,7 @@ def perform(
     progress: Progress | None = None,
     pool: SlavePool | None = None,
     points: Sequence[float] | None = None,
+    lacks: Sequence[Lack] = (),
 ) -> Result:
     """Run a coupled system as an experiment says.
 
@@ -144,6 +148,8 @@ def perform(
     points : sequence of float, optional
         Communication points after the start time, in seconds, the last being the stop time, in
         place of the experiment's steps.
+    lacks : sequence of Lack
+        Abilities that FMUs declare and are to be taken not to have.
 
     Returns
     -------
@@ -155,6 +161,19 @@ def perform(
     InvalidInput
         As in `simulate`.
     """
+    if isinstance(experiment.chosen_coupling, Auto):
+        choice = chosen(system, experiment, pool)
+        return choice.told(
+            perform(
+                system,
+                choice.experiment,
+                output=experiment.output if output is None else output,
+                progress=progress,
+                pool=pool,
+                points=points,
+                lacks=choice.lacks,
+            )
+        )
     begin = clock.perf_counter()
     folder = os.getcwd()
     given = output if output is not None else experiment.output or Output()
@@ -162,7 +181,7 @@ def perform(
     if not outputs or any(further.sink is None for further in outputs[1:]):
         raise InvalidInput("of several outputs, all but the first need a sink")
     require_resolved_periods(experiment, outputs)
-    resolved = system.resolve()
+    resolved = without(system.resolve(), lacks)
     require_abilities(resolved, experiment)
     coupling = experiment.chosen_coupling
     recorded = resolved.recorded(experiment.record)
@@ -203,7 +222,9 @@ def perform(
         os.chdir(folder)  # an FMU had left it, which would move what the caller writes next
     in_memory = outputs[0].sink is None
     table = memory.rows() if in_memory else recorders[0].last.reshape(-1, 1 + len(names))
-    return Result(status, message, table[:, 0], names, table[:, 1:], statistics)
+    return Result(
+        status, message, table[:, 0], names, table[:, 1:], statistics, None, coupling.name
+    )
 
 
 def _ended(
@@ -239,5 +260,11 @@ def _ended(
             f"{Status.COMPLETED.value} In {session.floors} of {session.steps} steps the accuracy "
             "of the FMUs, not the step, limited the error: loosen the tolerance, or make the FMUs "
             "more accurate (slave_tolerance, or their own parameters)."
+        )
+    if session.kept:
+        return Status.COMPLETED, (
+            f"{Status.COMPLETED.value} {session.kept} of {session.steps} steps were kept although "
+            "their error was above the tolerance: they cannot be taken back, or hold a jump that "
+            "no FMU announces."
         )
     return Status.COMPLETED, Status.COMPLETED.value

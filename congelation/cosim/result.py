@@ -177,6 +177,10 @@ class Result:
     statistics : Statistics
     trust : Trust or None
         Where error bars were asked for. The columns "error(component.variable)" are their bands.
+    coupling : str
+        Name of the coupling that the run had.
+    choice : str
+        Where it was "auto": which coupling that was, and why, in one line.
 
     Examples
     --------
@@ -193,6 +197,8 @@ class Result:
     values: npt.NDArray[np.float64]
     statistics: Statistics
     trust: Trust | None = None
+    coupling: str = ""
+    choice: str = ""
 
     def __repr__(self) -> str:
         """The end of the run and its size, not its rows."""

@@ -49,6 +49,10 @@ class Session:
         As in Statistics, `largest_error` for steps that are chosen by a tolerance.
     floors : int
         Steps whose error comes from the FMUs rather than from the step.
+    kept : int
+        Steps that were kept although their error was above the tolerance.
+    takes_back : bool
+        Whether all FMUs can save their state, so that a step can be taken back.
     """
 
     stepper: Stepper[Any]
@@ -66,12 +70,13 @@ class Session:
     ) -> None:
         self.ensemble = ensemble
         self.start, self.stop = start, stop
-        self.steps = self.rejected = self.events = self.floors = 0
+        self.steps = self.rejected = self.events = self.floors = self.kept = 0
         self.largest_error = 0.0
         self._exchange = Exchange(ensemble)
         self._coupling = coupling
         self._tolerance = tolerance
         self._max_steps = math.inf if max_steps is None else max_steps
+        self.takes_back = all(m.description.can_get_and_set_state for m in ensemble.system.members)
         # A point on a jump makes a step of another length.
         self._lands = coupling.lands_on_events and all(
             member.description.can_vary_step for member in ensemble.system.members

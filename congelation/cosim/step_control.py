@@ -12,7 +12,7 @@ import numpy.typing as npt
 from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.ensemble import Ensemble
 
-__all__ = ["Halving", "StepSize", "halved", "is_floor"]
+__all__ = ["EVENNESS", "Halving", "StepSize", "evened", "halved", "is_floor"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -155,6 +155,28 @@ def is_floor(refused: tuple[float, float], length: float, error: float, toleranc
         and ratio <= 0.5
         and error > refused[1] * ratio**FLOOR_EXPONENT
     )
+
+
+EVENNESS = 2
+"""The power of its length over the mean with which the error of a long step counts more."""
+
+MOST_UNEVEN = 16.0
+"""And it counts at most so many times, as does that of a short step less."""
+
+
+def evened(error: float, length: float, elapsed: float, steps: int) -> float:
+    """The error of a step whose inputs were predicted, weighed by its length over the mean so far.
+
+    How far inputs were off at the end of a step is no measure of what that leaves behind: an FMU
+    that holds its inputs integrates the error over the step, together with one in proportion to
+    its own rates, which does not show. Steps of equal errors at their ends are too long where
+    inputs change slowly: a relaxation oscillation (Van der Pol, mu = 5) in 755 steps was off by
+    0.44 of its peak, and is by 0.05 in 814 with this weight (0.03 in as many equal steps).
+    """
+    if steps == 0:
+        return error
+    weight = (length * steps / elapsed) ** EVENNESS
+    return error * min(max(weight, 1.0 / MOST_UNEVEN), MOST_UNEVEN)
 
 
 SAFETY = 0.9

@@ -28,7 +28,7 @@ from congelation.cosim.coupling.hermite import HermiteStepper
 from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session, just_before
-from congelation.cosim.step_control import Halving, StepSize, halved, is_floor
+from congelation.cosim.step_control import EVENNESS, Halving, StepSize, evened, halved, is_floor
 from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
 __all__ = ["run_adaptive", "run_fixed"]
@@ -40,6 +40,13 @@ STRETCH = 1.1
 
 FIRST_SHARE = 1e-2
 """Of the horizon: the longest first step."""
+
+SHORTEST_KEPT = 1e-6
+"""Of the horizon: where errors are predicted, a step of this length is kept whatever its error, as
+it holds a jump that no FMU announces. First steps are no shorter unless one is given."""
+
+JUMPED = 10.0
+"""Tolerances: with a larger error, the values before the step say nothing of those to come."""
 
 SMALLEST_STEP = 16.0
 """In units in the last place of time: below it, time does not resolve a step."""
@@ -153,7 +160,8 @@ def run_adaptive(
     """Step from start to stop with the estimated error of each step below `tolerance`.
 
     Steps land on every announced jump. A step that is too inaccurate, whose iterations do not
-    converge, that overflows or that an FMU discards is taken back and tried again shorter.
+    converge, that overflows or that an FMU discards is taken back and tried again shorter. Where
+    FMUs cannot take it back, an inaccurate step is kept, and the next one is shorter.
 
     Raises
     ------
@@ -166,7 +174,8 @@ def run_adaptive(
     assert isinstance(stepper, AdaptiveStepper)  # as a tolerance is given
     horizon = session.stop - session.start
     halving = Halving(np.abs(ensemble.Y[ensemble.source]), np.ones(len(ensemble.links)), 0)
-    guess = min(stepper.first_step(state), FIRST_SHARE * horizon)
+    shortest = SHORTEST_KEPT * horizon
+    guess = max(shortest, min(stepper.first_step(state), FIRST_SHARE * horizon))
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
     compiled = _compiled_adaptive(session, tolerance)
@@ -188,17 +197,33 @@ def run_adaptive(
                     compiled.refuse()
                 if code != UNUSUAL:
                     continue
-            ensemble.save()
+            if session.takes_back:
+                ensemble.save()
             refused: tuple[float, float] | None = None
             while True:
                 end = _end(time, size.length, target)
                 trial, error = _tried(session, stepper, state, time, end, tolerance, halving)
+                order = trial.order if trial is not None else 1
+                if stepper.predicts:
+                    error = evened(error, end - time, time - session.start, session.steps)
+                    order += EVENNESS
                 if error <= 1.0:
                     # A step may be good for the loop and too long for what is recorded in it.
                     error = max(error, session.unresolved(end))
                     refused = None
                 if trial is not None and error <= 1.0:
-                    size = size.accepted(error, end - time, trial.order)
+                    size = size.accepted(error, end - time, order)
+                    break
+                if (
+                    trial is not None
+                    and stepper.keeps
+                    and (not session.takes_back or end - time <= shortest)
+                ):
+                    session.kept += trial.error > tolerance
+                    size = size.refused(error, end - time, order)
+                    if trial.error > JUMPED * tolerance:
+                        trial = trial._replace(state=stepper.start(end, trial.state))
+                    size = replace(size, length=max(size.length, shortest))
                     break
                 if trial is not None and trial.error > tolerance and stepper.halves:
                     found = halving.found
@@ -210,7 +235,7 @@ def run_adaptive(
                     refused = end - time, found
                 ensemble.restore()
                 session.rejected += 1
-                size = size.refused(error, end - time, trial.order if trial else 1)
+                size = size.refused(error, end - time, order)
             ensemble.copy_discrete()
             state = trial.state
             session.largest_error = max(session.largest_error, trial.error)
@@ -233,7 +258,7 @@ def _compiled_adaptive(session: Session, tolerance: float) -> CompiledPolynomial
     ):
         return None
     plan = stepper.plan()
-    if plan is None:
+    if plan is None or not session.takes_back:
         return None
     horizon = session.stop - session.start
     return CompiledPolynomials(session.ensemble, rows, plan, tolerance, horizon)
@@ -270,11 +295,12 @@ def _tried(
             trial = stepper.attempt(state, time, end)
         session.ensemble.check(end)
     except (RunEnded, StepDiscarded, SlaveTerminated):
-        if end - time <= smallest:
+        if end - time <= smallest or not session.takes_back:
             raise
         return None, math.inf
     error = trial.error / tolerance
-    if not error <= 1.0 and end - time <= smallest:
+    keeps = stepper.keeps and math.isfinite(error)
+    if not error <= 1.0 and end - time <= smallest and not keeps:
         status = Status.STEP_TOO_SMALL if math.isfinite(error) else Status.NOT_CONVERGED
         raise RunEnded(
             status,

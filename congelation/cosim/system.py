@@ -153,6 +153,26 @@ class ResolvedSystem:
     links: tuple[Link, ...]
     discrete_links: tuple[Link, ...]
 
+    def interpolates(self, link: Link) -> bool:
+        """Whether derivatives reach the target by fmi2SetRealInputDerivatives, rather than by
+        inputs der(v), der(v,2), der(v,3) of its own."""
+        able = self.members[link.target].description.can_interpolate_inputs
+        return able and link.target_derivatives[0] is None
+
+    def input_order(self, link: Link) -> int:
+        """Highest derivative that a link's target takes, all lower ones included."""
+        if self.interpolates(link):
+            return MAX_DERIVATIVE
+        return next((k for k, v in enumerate(link.target_derivatives) if v is None), MAX_DERIVATIVE)
+
+    def knows_derivative(self, link: Link) -> bool:
+        """Whether a link's source provides the first derivative of its output, by an output of
+        its own or by fmi2GetRealOutputDerivatives."""
+        able = self.members[link.source].description.max_output_derivative_order > 0
+        return link.source_derivatives[0] is not None or (
+            able and link.output.causality == "output"
+        )
+
     def recorded(self, names: Sequence[str] | None) -> tuple[Recorded, ...]:
         """The variables to record; with None, every number among the outputs.
 

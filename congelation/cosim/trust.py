@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.again import Again, Ahead, At, divided
-from congelation.cosim.coupling import Derivative
+from congelation.cosim.choice import Lack, chosen
+from congelation.cosim.coupling import Auto, Derivative
 from congelation.cosim.experiment import Experiment, slave_tolerance
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
@@ -169,6 +170,7 @@ def trusted(
     output: Output | Sequence[Output] | None = None,
     progress: Callable[[float], None] | None = None,
     pool: SlavePool | None = None,
+    lacks: Sequence[Lack] = (),
 ) -> Result:
     """A run with its error bars.
 
@@ -180,7 +182,7 @@ def trusted(
     experiment : Experiment
     mode : bool or str
         True, or one of `TRUST`.
-    output, progress, pool
+    output, progress, pool, lacks
         As in `perform`.
 
     Returns
@@ -197,6 +199,21 @@ def trusted(
     if mode is not True and mode not in TRUST:
         raise InvalidInput(f"trust = {mode!r} is not valid; give true, {' or '.join(TRUST)}")
     given = output if output is not None else experiment.output or Output()
+    if isinstance(experiment.chosen_coupling, Auto):
+        # Once, so that all runs have the same one.
+        choice = chosen(system, experiment, pool)
+        return choice.told(
+            trusted(
+                perform,
+                system,
+                choice.experiment,
+                mode,
+                output=given,
+                progress=progress,
+                pool=pool,
+                lacks=choice.lacks,
+            )
+        )
     first, *others = (given,) if isinstance(given, Output) else given
     rows, points = Memory(), At(None)
     outputs = [first, *others]
@@ -210,10 +227,10 @@ def trusted(
         lender = pool if pool is not None else stack.enter_context(SlavePool())
 
         def run(experiment: Experiment, outputs: Sequence[Output], **more: Any) -> Result:
-            return perform(system, experiment, output=outputs, pool=lender, **more)
+            return perform(system, experiment, output=outputs, pool=lender, lacks=lacks, **more)
 
         ahead = stack.enter_context(
-            closing(Ahead(system, experiment, first, _part(progress, 0.0, ONE_OF_THREE)))
+            closing(Ahead(system, experiment, first, _part(progress, 0.0, ONE_OF_THREE), lacks))
         )
         base = run(experiment, outputs, progress=ahead.progress)
         reached = base.time if is_every_point else points.times()

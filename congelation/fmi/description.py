@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import os
 import zipfile
 from collections import Counter
@@ -87,6 +88,8 @@ class Description:
         Those that the FMU defines, the ones that it displays included.
     open_inputs : frozenset of str
         Inputs that the FMU says are meant to be left alone, by an annotation of this project.
+    proposed_step : float or None
+        Communication step that the FMU proposes (DefaultExperiment), in seconds.
     """
 
     path: Path
@@ -102,6 +105,7 @@ class Description:
     max_output_derivative_order: int
     units: Mapping[str, Unit] = field(default_factory=dict)
     open_inputs: frozenset[str] = frozenset()
+    proposed_step: float | None = None
 
     def unit(self, name: str) -> Unit | None:
         """The unit of a name, as the FMU defines it, else as is usual; None for no name."""
@@ -191,7 +195,18 @@ def _read(path: Path) -> Description:
         max_output_derivative_order=simulation.maxOutputDerivativeOrder,
         units=MappingProxyType(_units(model)),
         open_inputs=_open_inputs(root),
+        proposed_step=_proposed_step(model),
     )
+
+
+def _proposed_step(model: fmpy.model_description.ModelDescription) -> float | None:
+    """The stepSize of DefaultExperiment, where it is one."""
+    experiment = model.defaultExperiment
+    try:
+        step = float(experiment.stepSize) if experiment and experiment.stepSize else math.nan
+    except ValueError:
+        return None
+    return step if math.isfinite(step) and step > 0.0 else None
 
 
 def _units(model: fmpy.model_description.ModelDescription) -> dict[str, Unit]:

@@ -342,7 +342,7 @@ class Slave:
             # Ctrl-C reached Python code inside the FMU, and comes back as its last message.
             raise KeyboardInterrupt
         discarded = status == DISCARD and function == "fmi2DoStep"
-        raise (StepDiscarded if discarded else SlaveError)(self.name, self.time, reason)
+        raise (StepDiscarded if discarded else SlaveError)(self.name, self.time, reason, function)
 
     # -- C ------------------------------------------------------------------------------------
 

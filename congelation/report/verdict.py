@@ -74,6 +74,8 @@ def tiles(study: Study, peaks: Mapping[str, float]) -> Iterator[tuple[str, list[
         error = run.trust_error if run.trust_error is not None else run.estimated_error
         if error is not None:
             lines.append(("estimated error", f"{error:.1e}"))
+        if run.coupling_why:
+            lines.append(("coupling", f"{run.coupling} (auto)"))
         if run.trust_verdict:
             lines.append(("trust", run.trust_verdict))
         if run.deviations:

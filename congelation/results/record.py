@@ -51,6 +51,10 @@ class Outcome:
         Messages of status fmi2Warning that the FMUs logged.
     worst_margin : float, optional
         Largest relative margin of the Lyapunov certificate; positive where it fails.
+    coupling : str, optional
+        That the run had.
+    coupling_why : str, optional
+        Where "auto" was to find it: which it was, and why, in one line.
     trust_error : float, optional
         Where error bars were asked for, the widest band relative to the peak of its variable.
     trust_verdict, trust_line : str, optional
@@ -69,6 +73,8 @@ class Outcome:
     wall_time: float | None = None
     warnings: int | None = None
     worst_margin: float | None = None
+    coupling: str | None = None
+    coupling_why: str | None = None
     trust_error: float | None = None
     trust_verdict: str | None = None
     trust_line: str | None = None

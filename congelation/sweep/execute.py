@@ -217,6 +217,8 @@ def _outcome(result: Result) -> Outcome:
         estimated_error=cost.estimated_error,
         wall_time=cost.wall_time,
         warnings=cost.warnings,
+        coupling=result.coupling or None,
+        coupling_why=result.choice or None,
         trust_error=trust.error if trust is not None else None,
         trust_verdict=trust.verdict if trust is not None else None,
         trust_line=trust.line if trust is not None else None,

@@ -19,7 +19,7 @@ connections = [{links}]
 [experiment]
 stop_time = 8.0
 step = {step}
-coupling = "{coupling}"
+{coupling}
 record = ["first.y1", "second.y1", "third.y1"]
 
 [metrics]
@@ -38,7 +38,9 @@ def parts(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def written(folder: Path, parts: Path, name: str, step: float, coupling: str = "jacobi") -> Path:
+def written(
+    folder: Path, parts: Path, name: str, step: float, coupling: str = 'coupling = "jacobi"'
+) -> Path:
     found = problem(name)
     components = "".join(
         f'[components.{part}]\nfmu = "{parts / model}_fixed.fmu"\n[components.{part}.start]\n'
@@ -71,6 +73,24 @@ def test_black_boxes_without_states_get_error_bars(tmp_path: Path, parts: Path) 
     assert trajectory.columns[3:] == tuple(f"error({name})" for name in trajectory.columns[:3])
     exact = problem("ladder").exact(trajectory.time)
     assert (np.abs(trajectory.values[:, :3] - exact) <= trajectory.values[:, 3:] + 1e-9).all()
+
+
+def test_black_boxes_need_no_coupling_to_be_stated(tmp_path: Path, parts: Path) -> None:
+    file = written(tmp_path, parts, "ladder", 0.02, coupling="")
+    folder = tmp_path / "results" / "line"
+    done = command("run", file, "--out", folder, "--trust", "--progress", "quiet")
+    assert done.returncode == 0, done.stderr
+    chosen, bars = (line for line in done.stdout.splitlines() if line.startswith("line: "))
+    assert "auto: derivative, as not all FMUs can save their state and take polynomials" in chosen
+    assert "trust: within" in bars
+    results = open_results(folder)
+    (record,) = results.runs
+    assert (record.coupling, record.coupling_why) == ("derivative", chosen.removeprefix("line: "))
+    trajectory = results.store.trajectory(record.run_id)
+    exact = problem("ladder").exact(trajectory.time)
+    error = np.abs(trajectory.values[:, :3] - exact)
+    assert error.max() < 1e-3  # far nearer than with held inputs, above
+    assert (error <= trajectory.values[:, 3:] + 1e-9).all()
 
 
 def test_further_runs_are_asked_for_by_name(tmp_path: Path, parts: Path) -> None:

@@ -1,6 +1,7 @@
 """Couplings: how inputs move between communication points.
 
 base            the contract, and what a trial of a step returns
+auto            Auto: the most accurate one that the FMUs allow
 held            Jacobi, GaussSeidel, Sampled
 derivative      Derivative
 hermite         Hermite; its polynomials in interpolant
@@ -15,6 +16,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import Any, get_args, get_type_hints
 
+from congelation.cosim.coupling.auto import Auto
 from congelation.cosim.coupling.base import (
     AdaptiveStepper,
     Coupling,
@@ -30,6 +32,7 @@ from congelation.errors import InvalidInput, nearest
 __all__ = [
     "COUPLINGS",
     "AdaptiveStepper",
+    "Auto",
     "Coupling",
     "Derivative",
     "GaussSeidel",
@@ -43,7 +46,7 @@ __all__ = [
 ]
 
 COUPLINGS: Mapping[str, type[Coupling]] = MappingProxyType(
-    {kind.name: kind for kind in (Jacobi, GaussSeidel, Derivative, Hermite, Sampled)}
+    {kind.name: kind for kind in (Auto, Jacobi, GaussSeidel, Derivative, Hermite, Sampled)}
 )
 """Every coupling by its name."""
 

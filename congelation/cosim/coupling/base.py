@@ -64,12 +64,19 @@ class Stepper(ABC, Generic[S]):
     halves : bool
         Whether the error of a step is to be found by making it again in two halves, as the
         inputs cannot follow the polynomials whose error is known.
+    predicts : bool
+        Whether it is how far inputs were off at the end of a step, having been extrapolated.
+    keeps : bool
+        Whether a step that cannot be taken back, or is as short as steps may be, is kept whatever
+        its error, rather than ending the run.
     """
 
     iterations: int
     calls_per_iteration: int
     order: int = 1
     halves: bool = False
+    predicts: bool = False
+    keeps: bool = False
 
     @abstractmethod
     def start(self, time: float, before: S | None) -> S:
@@ -114,7 +121,8 @@ class AdaptiveStepper(Stepper[S]):
 
     @abstractmethod
     def first_step(self, state: S) -> float:
-        """A step from here over which the inputs change little, in seconds; may be infinite."""
+        """A step from here over which the inputs change little, in seconds; may be infinite, or 0
+        where nothing is known."""
 
 
 class Coupling(ABC):

@@ -23,6 +23,7 @@ Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
 
 SEQUENCES = ("gauss_seidel", "jacobi")
+CONTROLS = ("halves", "prediction")
 
 ORDER = 2
 
@@ -45,6 +46,12 @@ class Derivative(Coupling):
         which has already stepped are interpolated between both ends of the step instead.
         "jacobi": all inputs are extrapolated, and after the step outputs and inputs are made to
         agree in the order of the declared dependencies.
+    control : str
+        How the error of a step is found where a tolerance chooses it. "halves": where inputs are
+        held or sources say no derivative, the step is made again in two halves, and the difference
+        tells. "prediction": how far each input was off the output that drives it, by the value
+        that was extrapolated to the end of the step. No step is made twice for that, and FMUs need
+        not save their state: those that cannot keep every step, whatever its error.
 
     Examples
     --------
@@ -54,6 +61,7 @@ class Derivative(Coupling):
     """
 
     sequence: str = "gauss_seidel"
+    control: str = "halves"
     name: ClassVar[str] = "derivative"
     needs_derivatives: ClassVar[bool] = True
     lands_on_events: ClassVar[bool] = True
@@ -63,6 +71,8 @@ class Derivative(Coupling):
     def __post_init__(self) -> None:
         if self.sequence not in SEQUENCES:
             raise InvalidInput(f"sequence '{self.sequence}'; valid: {', '.join(SEQUENCES)}")
+        if self.control not in CONTROLS:
+            raise InvalidInput(f"control '{self.control}'; valid: {', '.join(CONTROLS)}")
 
     @property
     def rolls_back(self) -> bool:
@@ -99,11 +109,11 @@ class DerivativeStepper(AdaptiveStepper[Points]):
         self._held = ensemble.order == 0
         self._has_held = bool(self._held.any())
         # Outputs that follow at once from a held input belong to its value at the end of the step.
-        self._reaches_end = [
-            not self._exchanges and ensemble.passes_on_held(m) for m in range(len(ensemble.slaves))
-        ]
+        self._reaches_end = [ensemble.passes_on_held(m) for m in range(len(ensemble.slaves))]
         self.order = ORDER
-        self.halves = self._has_held or bool(self._reader.inexact.size)
+        self._is_plain = self._has_held or bool(self._reader.inexact.size)
+        self.halves = self._is_plain and coupling.control == "halves"
+        self.predicts = self.keeps = coupling.control == "prediction"
         self.watch = Watch(ensemble.nominal, extrapolated=True)
         self.iterations = 0
         self.calls_per_iteration = (
@@ -117,7 +127,13 @@ class DerivativeStepper(AdaptiveStepper[Points]):
         """The same as data, shape (slaves, L): of each link the highest derivative that its input
         takes, where its source steps before its target, that slave; else 0. None where the compiled
         loop does not do it."""
-        if self.halves or self._exchanges or any(self._reaches_end) or not self._sequential:
+        if (
+            self._is_plain
+            or self.predicts
+            or self._exchanges
+            or any(self._reaches_end)
+            or not self._sequential
+        ):
             return None
         links, order = self._ensemble.links, self._ensemble.order
         slaves = range(len(self._ensemble.slaves))
@@ -210,6 +226,8 @@ class DerivativeStepper(AdaptiveStepper[Points]):
         return state.followed(end, reader.end(state, end, w)), w
 
     def first_step(self, state: Points) -> float:
+        if self.predicts and self._is_plain:
+            return 0.0  # nothing is known before a step is made
         return self._reader.time_scale(state.now) * FIRST_CHANGE
 
     def largest_error(self) -> float:

@@ -34,6 +34,7 @@ __all__ = ["Hermite", "HermiteState", "HermiteStepper", "Plan"]
 Floats = npt.NDArray[np.float64]
 
 ACCELERATIONS = ("broyden", "none")
+JUMPS = ("refuse", "pass")
 
 SHARE_OF_TOLERANCE = 0.3
 """Of a step's error tolerance, the part left to unfinished iterations."""
@@ -83,6 +84,10 @@ class Hermite(Coupling):
     acceleration : str
         "broyden": quasi-Newton steps on the inputs that are fed back, which converge where loop
         gain times step is beyond 1; "none": plain iterations.
+    jumps : str
+        What a step is that no length makes as accurate as a tolerance asks. "refuse": the end of
+        the run. "pass": a jump that no FMU announces; the shortest step over it is kept, and what
+        was before it is forgotten.
 
     Examples
     --------
@@ -96,6 +101,7 @@ class Hermite(Coupling):
     tolerance: float = 1e-9
     max_iterations: int = 12
     acceleration: str = "broyden"
+    jumps: str = "refuse"
     name: ClassVar[str] = "hermite"
     needs_derivatives: ClassVar[bool] = True
     lands_on_events: ClassVar[bool] = True
@@ -106,6 +112,8 @@ class Hermite(Coupling):
         if self.acceleration not in ACCELERATIONS:
             valid = ", ".join(ACCELERATIONS)
             raise InvalidInput(f"acceleration '{self.acceleration}'; valid: {valid}")
+        if self.jumps not in JUMPS:
+            raise InvalidInput(f"jumps '{self.jumps}'; valid: {', '.join(JUMPS)}")
         if self.order not in (None, LOW, HIGH):
             raise InvalidInput(f"order {self.order}; valid: {LOW}, {HIGH}")
         for name in ("iterations", "max_iterations"):
@@ -238,6 +246,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         self._reader = LinkReader(ensemble)
         self._highest = self._highest_order()
         self.halves = bool((ensemble.order < MAX_DERIVATIVE).any() or self._reader.inexact.size)
+        self.keeps = coupling.jumps == "pass"
         self.order = HELD if self.halves else LOW
         self._accuracy = coupling.tolerance
         if tolerance is not None:

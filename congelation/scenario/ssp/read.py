@@ -252,10 +252,10 @@ def _experiment(
         return table
     if (annotated_step := _step_of_other_tools(root, archive)) is not None:
         return {"coupling": "jacobi", **table, "step": annotated_step}
-    if all(describe(Path(str(c["fmu"]))).can_get_and_set_state for c in components.values()):
+    if all(describe(Path(str(c["fmu"]))).can_vary_step for c in components.values()):
         return {**table, "tolerance": _TOLERANCE}
     step = (table["stop_time"] - table.get("start_time", 0.0)) / _STEPS
-    return {"coupling": "jacobi", **table, "step": step}
+    return {**table, "step": step}
 
 
 def _step_of_other_tools(root: etree._Element, archive: Archive) -> float | None:

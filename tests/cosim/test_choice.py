@@ -1,0 +1,183 @@
+"""The coupling that a run gets where none is stated."""
+
+import subprocess
+import zipfile
+from dataclasses import replace
+
+import fmpy
+import numpy as np
+import pytest
+
+from benchmarks.coupling import parts as benchmark
+from benchmarks.coupling.problems import problem
+from congelation.cosim import SlavePool, Status, simulate
+from congelation.errors import InvalidInput
+
+from .c_fmus import SOURCES
+
+PLAIN = problem("two_masses_force")
+
+
+def run(found, folder, ability, **more):
+    """The result with no coupling stated, and the largest error of any variable over its peak."""
+    result = simulate(
+        found.system(folder, ability), stop_time=found.stop, record=found.record, **more
+    )
+    assert result.completed, result.message
+    rows = slice(None, None, max(1, len(result.time) // 100))
+    exact = found.exact(result.time[rows])
+    values = result.values[rows, : len(found.record)]
+    return result, float((np.abs(values - exact).max(axis=0) / np.abs(exact).max(axis=0)).max())
+
+
+@pytest.mark.parametrize(
+    ("ability", "how", "coupling", "error"),
+    [
+        ("full", {"tolerance": 1e-4}, "hermite", 1e-3),
+        ("full", {"step": 0.05}, "hermite", 1e-4),
+        ("state", {"tolerance": 1e-3}, "derivative", 1e-3),
+        ("held", {"tolerance": 1e-3}, "derivative", 1e-3),
+        ("held", {"step": 0.05}, "derivative", 2e-2),
+        ("fixed", {"step": 0.05}, "derivative", 2e-2),
+    ],
+)
+def test_the_coupling_is_what_the_fmus_allow(parts, ability, how, coupling, error):
+    result, found = run(PLAIN, parts, ability, **how)
+    assert result.coupling == coupling
+    assert result.choice.startswith(f"auto: {coupling}, as ")
+    assert found < error
+
+
+def test_a_coupling_that_is_given_is_not_tried(parts):
+    result, _ = run(PLAIN, parts, "full", step=0.05, coupling="derivative")
+    assert (result.coupling, result.choice) == ("derivative", "")
+    assert result.statistics.iterations == result.statistics.macro_steps
+
+
+@pytest.mark.parametrize(("ability", "passes"), [("full", range(4, 16)), ("fixed", range(10, 30))])
+def test_the_trial_counts_and_disturbs_nothing(parts, ability, passes):
+    result, _ = run(PLAIN, parts, ability, step=0.05)
+    same, _ = run(PLAIN, parts, ability, step=0.05, coupling=result.coupling)
+    np.testing.assert_array_equal(result.values, same.values)
+    assert result.statistics.iterations - same.statistics.iterations in passes
+    assert result.statistics.fmi_calls > same.statistics.fmi_calls
+    with SlavePool() as pool:
+        pooled, _ = run(PLAIN, parts, ability, step=0.05, pool=pool)
+        again, _ = run(PLAIN, parts, ability, step=0.05, pool=pool)
+    np.testing.assert_array_equal(pooled.values, same.values)
+    np.testing.assert_array_equal(again.values, same.values)
+
+
+@pytest.mark.parametrize("ability", ["held", "state"])
+@pytest.mark.parametrize("name", ["two_masses_plain", "drive", "algebraic_loop_0.95", "ladder"])
+def test_errors_of_predicted_inputs_follow_the_tolerance(parts, ability, name):
+    found = problem(name)
+    errors = [run(found, parts, ability, tolerance=t)[1] for t in (1e-2, 1e-3)]
+    assert max(errors[0] / 1e-2, errors[1] / 1e-3) < 3.0
+    assert errors[1] < 0.3 * errors[0]
+
+
+def test_extrapolation_that_is_unstable_is_not_taken(parts):
+    drive = problem("drive")
+    result, error = run(drive, parts, "fixed", step=5e-3)
+    assert result.coupling == "gauss_seidel"
+    assert "extrapolated inputs are worse than held ones" in result.choice
+    assert error < 0.1
+
+
+@pytest.mark.parametrize("ability", ["held", "state", "full"])
+def test_jumps_that_no_fmu_announces_are_passed_and_told(parts, ability):
+    result = simulate(
+        problem("relay").system(parts, ability), stop_time=10.0, tolerance=1e-4, max_steps=5000
+    )
+    assert result.status is Status.COMPLETED
+    assert "a jump that no FMU announces" in result.message
+
+
+@pytest.fixture(scope="module")
+def pretenders(tmp_path_factory):
+    """A function that gives the folder of parts that declare everything and lack one thing."""
+    made = {}
+
+    def make(lack):
+        if lack not in made:
+            folder = tmp_path_factory.mktemp(f"lack{lack}")
+            benchmark.build(folder, ["full"])
+            library = folder / "pretender.so"
+            headers = [f"-I{fmpy.__path__[0]}/c-code", f"-I{benchmark.SOURCE.parent}"]
+            how = ["-shared", "-fPIC", "-O2", *headers, f"-DLACK={lack}", "-lm", "-o", library]
+            subprocess.run(["gcc", SOURCES / "pretender.c", *how], check=True)
+            path = folder / "linear_full.fmu"
+            with zipfile.ZipFile(path) as archive:
+                description = archive.read("modelDescription.xml")
+            with zipfile.ZipFile(path, "w") as archive:
+                archive.write(library, f"binaries/{fmpy.platform}/parts.so")
+                archive.writestr("modelDescription.xml", description)
+            made[lack] = folder
+        return made[lack]
+
+    return make
+
+
+@pytest.mark.parametrize(
+    ("lack", "how", "told"),
+    [
+        (
+            1,
+            {"step": 0.02},
+            "declares derivatives of its outputs, but refuses fmi2GetRealOutputDerivatives: ",
+        ),
+        (
+            2,
+            {"tolerance": 1e-3},
+            "declares derivatives of its outputs, but all are zero while its outputs change",
+        ),
+        (
+            3,
+            {"tolerance": 1e-3},
+            "declares inputs that follow polynomials, but refuses fmi2SetRealInputDerivatives: ",
+        ),
+        (
+            4,
+            {"tolerance": 1e-3},
+            "declares states that can be saved and restored, but refuses fmi2GetFMUstate: ",
+        ),
+        (
+            5,
+            {"step": 0.02},
+            "declares states that can be saved and restored, but a step from a restored one ",
+        ),
+    ],
+)
+def test_an_ability_that_is_declared_and_missing_is_told(pretenders, lack, how, told):
+    result, error = run(PLAIN, pretenders(lack), "full", **how)
+    assert result.coupling == "derivative"
+    assert told in result.choice
+    assert "\n" not in result.choice
+    assert error < 3e-3
+
+
+def test_steps_of_a_second_length_that_are_refused_ask_for_a_step(pretenders):
+    with pytest.raises(InvalidInput, match="takes steps of one length only, and none is proposed"):
+        run(PLAIN, pretenders(6), "full", tolerance=1e-3)
+    result, _ = run(PLAIN, pretenders(6), "full", tolerance=1e-3, step=0.02)
+    assert "declares steps of any length, but refuses the second one" in result.choice
+    assert "steps of 0.02 s, as not all FMUs take others" in result.choice
+    assert result.statistics.macro_steps == round(PLAIN.stop / 0.02)
+
+
+def test_bars_of_a_run_without_a_coupling(pretenders, parts):
+    for folder, ability, how in (
+        (parts, "fixed", {"step": 0.02}),
+        (parts, "held", {"tolerance": 1e-3}),
+        (pretenders(1), "full", {"step": 0.02}),
+    ):
+        result, error = run(PLAIN, folder, ability, trust=True, **how)
+        assert result.coupling == "derivative"
+        assert error <= result.trust.error < 3.0 * error
+        assert result.choice
+
+
+def test_a_system_without_connections_needs_no_abilities(parts):
+    lonely = replace(PLAIN.system(parts, "fixed"), connections=())
+    assert simulate(lonely, stop_time=1.0, step=0.1).completed
