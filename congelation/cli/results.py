@@ -32,7 +32,7 @@ Directory = Annotated[
 SMALLEST, LARGEST = 2.0, 40.0  # inches: axes fit into the first, a poster is the second
 
 PAGE = "report.html"
-"""Name of the page in its result directory."""
+"""File name of the report in its result directory."""
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
@@ -42,16 +42,14 @@ def report(
     html: Annotated[
         Path | None,
         typer.Option(
-            help="Where to write the page, one self-contained HTML file.",
+            help="File to write the report to, one self-contained page.",
             metavar="FILE",
             show_default="DIR/report.html",
         ),
     ] = None,
     figures: Annotated[
         Path | None,
-        typer.Option(
-            help="Where to write the figures.", metavar="FOLDER", show_default="DIR/figures"
-        ),
+        typer.Option(help="Folder for the figures.", metavar="FOLDER", show_default="DIR/figures"),
     ] = None,
     form: Annotated[
         list[str] | None,
@@ -143,7 +141,10 @@ def ls(
 def show(
     folder: Directory,
     run_id: Annotated[
-        str, typer.Argument(metavar="RUN_ID", help="Or its first digits.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="RUN_ID", help="Id of a run, or its first digits.", show_default=False
+        ),
     ],
     as_json: Json = False,
 ) -> None:

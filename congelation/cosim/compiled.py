@@ -167,7 +167,7 @@ class _Memory(ctypes.Structure):
 
 
 VERSION = 2
-"""Of the library that fits these structures; as in loop.c."""
+"""Version of the library that fits these structures; as in loop.c."""
 
 
 @cache
