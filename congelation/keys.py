@@ -339,7 +339,7 @@ SPEC = Table(
         Key(
             "units",
             "table",
-            "units of variables",
+            "units of variables; the equations of the form have to admit them",
             table=Table(
                 "By variable.",
                 extra=Key("VARIABLE", "name or names", "one unit, or one for each element"),
