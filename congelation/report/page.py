@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # Bokeh takes half a second, which only commands that write a page wait for
     from bokeh.models import Plot
 
-__all__ = ["Drawn", "lines_of", "page", "pairs", "plain_page", "swatch", "table"]
+__all__ = ["Drawn", "lines_of", "opening", "page", "pairs", "plain_page", "swatch", "table"]
 
 _HEAD = """<!DOCTYPE html>
 <html lang="en">
@@ -105,6 +105,16 @@ def page(
 def plain_page(title: str, pieces: Iterable[str]) -> str:
     """A page without plots or scripts."""
     return "\n".join([f"{_head(title)}</head>\n<body>", *pieces, "</body>\n</html>\n"])
+
+
+def opening(title: str, verdict: Iterable[str]) -> Iterator[str]:
+    """What a reader sees first: the title, and what there is to say in sentences."""
+    yield '<a class="skip" href="#content">Skip to the content</a><main id="content">'
+    yield f"<h1>{escape(title)}</h1>"
+    yield '<div class="verdict">'
+    for sentence in verdict:
+        yield f"<p>{escape(sentence)}</p>"
+    yield "</div>"
 
 
 def table(
