@@ -11,7 +11,7 @@ import numpy as np
 
 from congelation.report.curves import POINTS, controls, curve_panels, draw_panels
 from congelation.report.diagram import diagram
-from congelation.report.page import Drawn, lines_of, opening, page, pairs, swatch, table
+from congelation.report.page import Drawn, lines_of, opening, page, pairs, swatch, table, tile
 from congelation.report.study import study_content
 from congelation.report.summary import metric_definitions, summarise
 from congelation.report.verdict import run_verdict, study_verdict, tiles
@@ -131,11 +131,7 @@ def _head(study: Study, verdict: Iterator[str]) -> Iterator[str]:
 def _tiles(study: Study, peaks: dict[str, float]) -> Iterator[str]:
     yield '<div class="tiles">'
     for k, (variant, lines) in enumerate(tiles(study, peaks)):
-        yield f'<section class="tile" style="border-color: var(--v{k % 8})">'
-        yield f"<h3>{swatch(k)} {escape(variant)}</h3><dl>"
-        for name, value in lines:
-            yield f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>"
-        yield "</dl></section>"
+        yield from tile(f"{swatch(k)} {escape(variant)}", f"var(--v{k % 8})", lines)
     yield "</div>"
 
 
