@@ -76,25 +76,31 @@ def native_fmu(
     """
     _check(fmu)
     about = staged.about.read_bytes()
-    layer = {file.name: file.read_bytes() for file in sorted((sources / "native").glob("*.[ch]"))}
+    headers = Path(fmpy.__file__).parent / "c-code"
+    layer = {
+        file.name: file.read_bytes()
+        for folder, pattern in ((headers, "fmi2*.h"), (sources / "native", "*.[ch]"))
+        for file in sorted(folder.glob(pattern))
+    }
     body = model_source(fmu.model, fmu.special, staged.interface)
     key = hashlib.sha256(body.encode("utf-8"))
     for name, data in (*layer.items(), ("spec.json", about)):
         key.update(name.encode("utf-8") + len(data).to_bytes(8, "big") + data)
     guid = f"{{{uuid.uuid5(_NAMESPACE, fmu.name + key.hexdigest())}}}"
     identity = [
-        f'const char MODEL_NAME[] = "{fmu.name}";',
         f'const char MODEL_GUID[] = "{guid}";',
         f"const unsigned char MODEL_KEY[32] = {{{', '.join(map(str, key.digest()))}}};",
     ]
     model = (body + "\n".join(identity) + "\n").encode("utf-8")
-    xml, identifier = _description(description, guid)
+    code = {**layer, _MODEL: model}
+    xml, identifier = _description(description, guid, (n for n in sorted(code) if n[-2:] == ".c"))
     entries = {
         "documentation/index.html": (staged.documentation / "index.html").read_bytes(),
         "documentation/licenses/license.txt": (sources / "native" / "licenses.txt").read_bytes(),
         "model.png": staged.icon,
         "resources/spec.json": about,
         f"binaries/{_PLATFORM}/{identifier}.so": _library(fmu.name, layer, model),
+        **{f"sources/{name}": data for name, data in code.items()},
     }
     write_archive(target, [("modelDescription.xml", xml), *sorted(entries.items())])
 
@@ -345,7 +351,7 @@ def _library(name: str, layer: Mapping[str, bytes], model: bytes) -> bytes:
         objects = dict(_objects(compiler, tuple(layer.items())))
         headers = {file: data for file, data in layer.items() if file.endswith(".h")}
         given = {**headers, **objects, _MODEL: model}
-        options = ["-shared", "-Wl,-Bsymbolic", _MODEL, *objects, "-lm", "-o", "library.so"]
+        options = ["-shared", _MODEL, *objects, "-lm", "-o", "library.so"]
         return _compiled(compiler, given, options, "library.so")["library.so"]
     except _CompilerError as error:
         raise CongelationError(f"{name}: {compiler} failed: {error}") from error
@@ -366,12 +372,11 @@ def _compiled(
     compiler: str, files: Mapping[str, bytes], options: Sequence[str], results: str
 ) -> dict[str, bytes]:
     """What a compiler makes of `files` in an empty folder: the files that match `results`."""
-    headers = Path(fmpy.__file__).parent / "c-code"
     with tempfile.TemporaryDirectory(prefix="congelation_native_") as temporary:
         folder = Path(temporary)
         for file, data in files.items():
             (folder / file).write_bytes(data)
-        command = [*compiler.split(), *_FLAGS, f"-I{headers}", *options]
+        command = [*compiler.split(), *_FLAGS, *options]
         done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
         if done.returncode:
             lines = done.stderr.splitlines()
@@ -379,14 +384,18 @@ def _compiled(
         return {file.name: file.read_bytes() for file in sorted(folder.glob(results))}
 
 
-def _description(xml: bytes, guid: str) -> tuple[bytes, str]:
-    """The twin's modelDescription.xml with the GUID of the native FMU, and its
-    modelIdentifier, after which the library is named."""
+def _description(xml: bytes, guid: str, files: Iterable[str]) -> tuple[bytes, str]:
+    """The twin's modelDescription.xml with the GUID and the source files of the native FMU, and
+    its modelIdentifier, after which the library is named."""
     root = ElementTree.fromstring(xml)
     root.set("guid", guid)
     root.set("generationTool", str(root.get("generationTool")).split(" with ")[0] + " (native)")
     kind = root.find("CoSimulation")
     if kind is None:
         raise ValueError("modelDescription.xml has no CoSimulation")
+    source_files = ElementTree.SubElement(kind, "SourceFiles")
+    for file in files:
+        ElementTree.SubElement(source_files, "File", {"name": file})
+    ElementTree.indent(root)
     text: bytes = ElementTree.tostring(root, encoding="UTF-8", xml_declaration=True)
     return text + b"\n", str(kind.get("modelIdentifier"))

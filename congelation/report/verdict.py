@@ -138,7 +138,12 @@ def study_verdict(study: Study) -> Iterator[str]:
         if not good:
             yield f"{variant} {done} in none of {len(runs)} runs."
             continue
-        limits = [limit for name in axes if (limit := _limit(study, runs, name, axes[name]))]
+        limits = []
+        for name, values in axes.items():
+            own = {run.settings.get(name) for run in runs}  # an axis may be of other variants
+            met = [value for value in values if value in own]
+            if len(met) > 1 and (limit := _limit(study, runs, name, met)):
+                limits.append(limit)
         said = f": {listed(limits)}" if limits else ""
         yield f"{variant} {done} in {len(good)} of {len(runs)} runs{said}."
     yield from _price_of_study(study, variants)
@@ -165,18 +170,31 @@ def _limit(study: Study, runs: Sequence[RunRecord], name: str, values: Sequence[
 def _price_of_study(study: Study, variants: Mapping[str, Sequence[RunRecord]]) -> Iterator[str]:
     """What the first variant pays at equal settings, relative to each other one."""
     first, *others = variants
-    own = set(axes_of(study))
-
-    def point(run: RunRecord) -> tuple[object, ...]:
-        return (run.replicate, *(run.settings.get(name) for name in sorted(own)))
-
-    costs = {point(run): _peak_u(study, run, {}) for run in variants[first]}
+    axes = axes_of(study)
+    own = {
+        variant: {n for n in axes if len({repr(run.settings.get(n)) for run in runs}) > 1}
+        for variant, runs in variants.items()
+    }
     for other in others:
+        # An axis that one of the two has not is no setting to be equal in: its one run is
+        # compared with all of the other's.
+        common = sorted(own[first] & own[other])
+        if len(common) < min(len(own[first]), len(own[other])):
+            continue
+
+        def point(run: RunRecord, names: Sequence[str] = common) -> tuple[object, ...]:
+            return (run.replicate, *(run.settings.get(name) for name in names))
+
+        costs: dict[tuple[object, ...], list[float]] = {}
+        for run in variants[first]:
+            mine = _peak_u(study, run, {})
+            if mine and math.isfinite(mine):
+                costs.setdefault(point(run), []).append(mine)
         ratios = []
         for run in variants[other]:
-            mine, its = costs.get(point(run)), _peak_u(study, run, {})
-            if mine and its and math.isfinite(mine) and math.isfinite(its):
-                ratios.append(mine / its)
+            its = _peak_u(study, run, {})
+            if its and math.isfinite(its):
+                ratios += [mine / its for mine in costs.get(point(run), [])]
         if ratios:
             low, middle, high = (
                 number(_round(r)) for r in (min(ratios), median(ratios), max(ratios))

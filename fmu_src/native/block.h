@@ -12,6 +12,12 @@
 #include <stdint.h>
 
 #include "fmi2Functions.h"
+#include "names.h"
+
+/* Only the functions of FMI are seen from outside, whatever the compiler was asked for. */
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility push(hidden)
+#endif
 
 /* -- a model, generated ----------------------------------------------------------------------- */
 
@@ -45,7 +51,7 @@ struct profile_slots {
     int noises, noise;         /* deviation, sample_time, seed */
 };
 
-extern const char MODEL_NAME[], MODEL_GUID[];
+extern const char MODEL_GUID[];
 extern const unsigned char MODEL_KEY[32]; /* of serialised states */
 extern const int VARIABLE_COUNT, STATES, INPUTS, OUTPUTS, DERIVATIVES, GAINS, PROFILES;
 extern const int CONSTANTS, PARAMETERS;
@@ -177,5 +183,15 @@ void forget_computed(struct instance *instance);
 
 /* integrator.c: x from t over h; false, with x and the inner step undone by the caller. */
 bool advance(struct instance *instance, double t, double h, struct reason *why);
+
+/* state.c: the complete state as bytes, the same on every machine */
+size_t serialized_size(void);
+void serialize(const double *state, unsigned char *bytes);
+/* NULL, or what is wrong with the bytes. */
+const char *deserialize(const unsigned char *bytes, size_t size, double *state);
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility pop
+#endif
 
 #endif

@@ -8,7 +8,6 @@
 #include <string.h>
 
 #include "block.h"
-#include "state.h"
 
 /* Relative tolerance of the internal integration where fmi2SetupExperiment gives none. */
 #define DEFAULT_TOLERANCE 1e-8

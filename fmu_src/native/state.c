@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "block.h"
-#include "state.h"
 
 enum { FORMAT = 8, KEY = 32, CHECK = 8, HEAD = FORMAT + KEY + CHECK, NUMBER = 8 };
 static const unsigned char MAGIC[FORMAT] = {'c', 'g', 'l', 'n', 'a', 't', 'v', '1'};
