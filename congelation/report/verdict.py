@@ -10,7 +10,7 @@ from typing import Any
 from congelation.report.summary import number
 from congelation.results.record import RunRecord, Study
 
-__all__ = ["FEW", "axes_of", "prices", "run_verdict", "settled", "study_verdict", "tiles"]
+__all__ = ["FEW", "axes_of", "listed", "prices", "run_verdict", "settled", "study_verdict", "tiles"]
 
 
 FEW = 12
@@ -41,16 +41,16 @@ def run_verdict(study: Study, peaks: Mapping[str, float]) -> Iterator[str]:
             told.append(f"{run.variant} settles after {number(run.metrics[name])} s")
         else:
             told.append(f"{run.variant} does not settle")
-    yield f"{_listed(told)}." if told else "No run has finished yet."
+    yield f"{listed(told)}." if told else "No run has finished yet."
     priced = prices(study, study.records, peaks)
     dear = {v: p for v, p in priced.items() if p > 1.0}
     if dear:
         cheapest = min(priced, key=lambda v: priced[v])
         costs = [f"{variant} pays {number(_round(ratio))} times" for variant, ratio in dear.items()]
-        yield f"{_listed(costs)} the peak of |u| of {cheapest}."
+        yield f"{listed(costs)} the peak of |u| of {cheapest}."
     margins = [run for run in study.records if (_margin(study, run) or -1.0) > 0.0]
     if margins:
-        yield f"The Lyapunov certificate is violated for {_listed([r.variant for r in margins])}."
+        yield f"The Lyapunov certificate is violated for {listed([r.variant for r in margins])}."
 
 
 def tiles(study: Study, peaks: Mapping[str, float]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
@@ -144,7 +144,7 @@ def study_verdict(study: Study) -> Iterator[str]:
             met = [value for value in values if value in own]
             if len(met) > 1 and (limit := _limit(study, runs, name, met)):
                 limits.append(limit)
-        said = f": {_listed(limits)}" if limits else ""
+        said = f": {listed(limits)}" if limits else ""
         yield f"{variant} {done} in {len(good)} of {len(runs)} runs{said}."
     yield from _price_of_study(study, variants)
 
@@ -227,7 +227,8 @@ def _round(ratio: float) -> float:
     return float(f"{ratio:.3g}")
 
 
-def _listed(texts: Sequence[str]) -> str:
+def listed(texts: Sequence[str]) -> str:
+    """``a, b and c``."""
     if len(texts) < 2:
         return "".join(texts)
     return f"{', '.join(texts[:-1])} and {texts[-1]}"
