@@ -25,6 +25,7 @@ from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.coupling.derivative import DerivativeStepper
 from congelation.cosim.coupling.held import GaussSeidelStepper, JacobiStepper
 from congelation.cosim.coupling.hermite import HermiteStepper
+from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session, just_before
@@ -211,7 +212,7 @@ def run_adaptive(
                 ensemble.restore()
                 session.rejected += 1
                 size = size.refused(error, end - time, trial.order if trial else 1)
-            ensemble.copy_discrete()
+            settle_discrete(ensemble, end)
             state = trial.state
             session.largest_error = max(session.largest_error, trial.error)
             if stepper.halves:

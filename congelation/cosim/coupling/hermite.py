@@ -23,7 +23,7 @@ from congelation.cosim.coupling.interpolant import (
 from congelation.cosim.coupling.points import LinkReader, Points
 from congelation.cosim.coupling.polynomial import product
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.exchange import Exchange
+from congelation.cosim.exchange import Exchange, settle_discrete
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
@@ -317,7 +317,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
                 f"(at most {self._coupling.max_iterations} are made)",
             )
         self._largest = max(self._largest, trial.error)
-        self._ensemble.copy_discrete()
+        settle_discrete(self._ensemble, end)
         return trial.state
 
     def attempt(self, state: HermiteState, time: float, end: float) -> Trial[HermiteState]:
