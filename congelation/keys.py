@@ -84,6 +84,7 @@ COMPONENT = Table(
         Key(
             "fmu", "text", "name of a file in a fmus/ folder, or a path ending in .fmu", None, True
         ),
+        Key("native", "boolean", "take the native twin, fmus/native/NAME.fmu", False),
         Key("start", "table", "start values: parameters, states, inputs", table=VALUES),
         Key("profile", "table", "theta(t) of a plant, signals of a block", table=PROFILES),
     ),
