@@ -56,6 +56,19 @@ def test_run_as_json(tmp_path: Path) -> None:
     assert [row["status"] for row in found] == ["COMPLETED"] * 2
 
 
+def test_directories_are_compared(out: Path, tmp_path: Path) -> None:
+    other = results(tmp_path / "other", [(record("r1", 1), trajectory(1.0))]).folder
+    done = congelation("report", out, other)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == str(other / "comparison.html")
+    assert "other against out: 1 run can be compared; 1 have no counterpart" in done.stdout
+    assert "Controller 2: only in out" in done.stderr
+    assert (other / "comparison.html").read_text("utf-8").startswith("<!DOCTYPE html>")
+    line = one_line(congelation("report", out, other, "--pareto", "peak_x"), 2)
+    assert line == "congelation: --pareto is for one result directory; give DIR alone"
+    assert "is given twice" in one_line(congelation("report", out, out), 2)
+
+
 def test_a_front_of_no_run_is_one_line(tmp_path: Path) -> None:
     results(tmp_path, [(record("r1", 1), trajectory(1.0))])
     done = congelation("report", tmp_path, "--pareto", "settling_x", "--pareto", "peak_x")
