@@ -24,7 +24,7 @@ from congelation.cosim.compiled import (
 from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.coupling.derivative import DerivativeStepper
 from congelation.cosim.coupling.held import GaussSeidelStepper, JacobiStepper
-from congelation.cosim.coupling.hermite import HermiteStepper
+from congelation.cosim.coupling.hermite import HermiteStepper, Plan
 from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session, just_before
@@ -104,10 +104,9 @@ def _compiled_fixed(session: Session) -> CompiledHeld | CompiledPolynomials | No
     if not fits(ensemble, rows):
         return None
     if isinstance(stepper, JacobiStepper | GaussSeidelStepper):
-        return CompiledHeld(ensemble, rows, sequential=stepper.sequential)
+        return CompiledHeld(ensemble, rows, session.exchange, sequential=stepper.sequential)
     if isinstance(stepper, DerivativeStepper) and (ahead := stepper.plan()) is not None:
-        horizon = session.stop - session.start
-        return CompiledPolynomials(ensemble, rows, ahead, 1.0, horizon)
+        return _polynomials(session, stepper, ahead, 1.0)
     return None
 
 
@@ -135,7 +134,7 @@ def _made(
     at = float(ends[made - 1]) if made else time
     if made and isinstance(session.stepper, DerivativeStepper):
         session.stepper.watch.passed(at, state.now)
-    session.took(compiled.loop, at)
+    session.took(compiled.loop)
     if code == REFUSED:
         compiled.refuse()
     if code == NOT_FINITE:
@@ -169,25 +168,19 @@ def run_adaptive(
     guess = min(stepper.first_step(state), FIRST_SHARE * horizon)
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
+    event = session.next_event(time)
     compiled = _compiled_adaptive(session, tolerance)
     while time < session.stop:
-        event = session.next_event(time)
+        if compiled is not None:
+            code, state, size, time, event = compiled.adaptive(
+                state, size, time, event, session.most
+            )
+            session.took(compiled.loop)
+            compiled.raise_for(code, event)
+            if code != UNUSUAL:
+                continue
         target = min(session.stop, just_before(event))
-        while time < target:
-            if compiled is not None:
-                code, state, size, time = compiled.adaptive(
-                    state,
-                    size,
-                    time,
-                    target,
-                    most=session.most,
-                    records_target=math.isinf(event),
-                )
-                session.took(compiled.loop, time)
-                if code == REFUSED:
-                    compiled.refuse()
-                if code != UNUSUAL:
-                    continue
+        if time < target:
             ensemble.save()
             refused: tuple[float, float] | None = None
             while True:
@@ -219,10 +212,11 @@ def run_adaptive(
             time = end
             if time < target or math.isinf(event):
                 session.record(time)
-        if math.isfinite(event):
+        else:
             state = session.cross(state, time, event)
             time = event
             size = size.restarted(min(size.length, stepper.first_step(state)))
+            event = session.next_event(time)
 
 
 def _compiled_adaptive(session: Session, tolerance: float) -> CompiledPolynomials | None:
@@ -235,8 +229,26 @@ def _compiled_adaptive(session: Session, tolerance: float) -> CompiledPolynomial
     plan = stepper.plan()
     if plan is None:
         return None
-    horizon = session.stop - session.start
-    return CompiledPolynomials(session.ensemble, rows, plan, tolerance, horizon)
+    return _polynomials(session, stepper, plan, tolerance)
+
+
+def _polynomials(
+    session: Session,
+    stepper: HermiteStepper | DerivativeStepper,
+    plan: Plan | npt.NDArray[np.uint8],
+    tolerance: float,
+) -> CompiledPolynomials:
+    return CompiledPolynomials(
+        session.ensemble,
+        session.rows,
+        session.exchange,
+        session.lands,
+        plan,
+        tolerance,
+        stepper.first_change,
+        session.start,
+        session.stop,
+    )
 
 
 def _end(time: float, length: float, target: float) -> float:

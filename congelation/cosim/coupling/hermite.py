@@ -236,6 +236,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         self._saves = coupling.rolls_back and tolerance is None
         self._accelerates = coupling.acceleration == "broyden"
         self._reader = LinkReader(ensemble)
+        self.first_change = FIRST_CHANGE
         self._highest = self._highest_order()
         self.halves = bool((ensemble.order < MAX_DERIVATIVE).any() or self._reader.inexact.size)
         self.order = HELD if self.halves else LOW
@@ -425,7 +426,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         return float(relative[worst]), worst
 
     def first_step(self, state: HermiteState) -> float:
-        return self._reader.time_scale(state.points.now) * FIRST_CHANGE
+        return self._reader.time_scale(state.points.now) * self.first_change
 
     def largest_error(self) -> float:
         return self._largest
