@@ -24,7 +24,7 @@ from congelation.cosim.coupling.hermite import HermiteState, Plan
 from congelation.cosim.coupling.points import KEPT, Points
 from congelation.cosim.ensemble import Ensemble, Transfer
 from congelation.cosim.exchange import Block, Exchange
-from congelation.cosim.recording import NODES, EveryStep, OutputGrid, Rows
+from congelation.cosim.recording import NODES, Columns, EveryStep, OutputGrid, Rows
 from congelation.cosim.step_control import StepSize
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "CompiledHeld",
     "CompiledPolynomials",
     "Loop",
+    "available",
     "fits",
     "library",
 ]
@@ -218,14 +219,15 @@ def library() -> ctypes.CDLL | None:
     return found
 
 
-def fits(ensemble: Ensemble, rows: Sequence[Rows]) -> bool:
+def available() -> bool:
+    """Whether there is a compiled loop."""
+    return library() is not None
+
+
+def fits(ensemble: Ensemble, columns: Columns) -> bool:
     """Whether a run is one that the compiled loop makes: its connections and what is recorded are
     Real, and nothing but the steps changes them."""
-    return (
-        library() is not None
-        and not ensemble.system.discrete_links
-        and all(each.columns.follows for each in rows)
-    )
+    return columns.follows and not ensemble.system.discrete_links
 
 
 class _Compiled:
@@ -250,7 +252,7 @@ class _Compiled:
     ) -> None:
         found = library()
         if found is None:
-            raise ValueError("there is no compiled loop; see fits")
+            raise ValueError("there is no compiled loop; see available")
         self.library = found
         self.ensemble = ensemble
         self._rows = rows
@@ -357,6 +359,13 @@ class _Compiled:
                 if units is not None:
                     call.factors, call.offsets = map(self._address, units)
         return calls
+
+    def renew(self, rows: Sequence[Rows]) -> None:
+        """Get ready for another run of the ensemble, with rows of the same kinds."""
+        self._rows = rows
+        if self._direct is not None:
+            assert isinstance(rows[0], EveryStep)
+            self._direct = rows[0]
 
     def called(self, function: Callable[..., int], most: int, *arguments: object) -> int:
         """Call one of the functions that step, with rows to fill, and keep what it recorded."""
@@ -498,8 +507,7 @@ class CompiledPolynomials(_Compiled):
         )
         self._table = np.zeros((2, KEPT, links))
         self._J = np.zeros((unknowns, unknowns))
-        # Those of the grids that have something to judge.
-        self._grids = [r for r in rows if isinstance(r, OutputGrid) and r.columns.sampled.size]
+        self._grids = _judging(rows)
         self._samples = [np.empty((NODES, grid.columns.sampled.size)) for grid in self._grids]
         self._memory = _Memory(
             table=self._address(self._table),
@@ -518,6 +526,10 @@ class CompiledPolynomials(_Compiled):
                 )
             ),
         )
+
+    def renew(self, rows: Sequence[Rows]) -> None:
+        super().renew(rows)
+        self._grids = _judging(rows)
 
     def adaptive(
         self,
@@ -613,3 +625,8 @@ class CompiledPolynomials(_Compiled):
         if not self._iterates:
             return points
         return HermiteState(points, memory.order, self._J.copy(), memory.length)
+
+
+def _judging(rows: Sequence[Rows]) -> list[OutputGrid]:
+    """The grids that have something to judge steps by."""
+    return [r for r in rows if isinstance(r, OutputGrid) and r.columns.sampled.size]

@@ -160,12 +160,20 @@ class Ensemble:
     ) -> None:
         self.system = system
         self.slaves = tuple(slaves)
+        self._plan_outputs(recorded, derivatives, slopes, events)
+        self._plan_inputs(derivatives)
+        self.begin(system)
+
+    def begin(self, system: ResolvedSystem) -> None:
+        """Get ready for a run of this system, which may differ in start values alone from the one
+        that the ensemble was made for; its slaves are new or reset."""
+        self.system = system
         self.stepping = False
         self.calls = 0
         self.level = 0
         self._states: dict[int, list[tuple[Slave, State]]] = {}
-        self._plan_outputs(recorded, derivatives, slopes, events)
-        self._plan_inputs(derivatives)
+        self.Y[:] = 0.0
+        self.C[:] = 0.0
 
     # -- what is read -------------------------------------------------------------------------
 

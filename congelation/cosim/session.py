@@ -7,12 +7,13 @@ import time as clock
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from congelation.cosim.compiled import CHUNK, Loop
+from congelation.cosim.compiled import CHUNK, CompiledHeld, CompiledPolynomials, Loop
 from congelation.cosim.coupling import Coupling, Stepper
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
-from congelation.cosim.recording import Rows
+from congelation.cosim.recording import Columns, Rows
 from congelation.cosim.result import RunEnded, Statistics, Status
+from congelation.cosim.system import ResolvedSystem
 
 __all__ = ["Progress", "Session", "just_before"]
 
@@ -26,25 +27,27 @@ UNITS_BEFORE = 8.0
 
 
 class Session:
-    """One run under way: what both loops share.
+    """One run under way: what both loops share. It can be kept for further runs that differ in
+    start values alone; see `begin`.
 
     Parameters
     ----------
     ensemble : Ensemble
     coupling : Coupling
+    columns : Columns
+        What is recorded.
     start, stop : float
         Seconds.
     tolerance : float or None
         For the step control.
     max_steps : int or None
-    rows : sequence of Rows
-    progress : callable or None
-        Called with the fraction done, about ten times a second.
 
     Attributes
     ----------
     stepper : Stepper
         There once `initialise` is done.
+    compiled : object
+        What makes the steps in C, or None; there once it was asked for, see `stepping`.
     steps, rejected, events, largest_error
         As in Statistics, `largest_error` for steps that are chosen by a tolerance.
     exchange : Exchange
@@ -55,22 +58,22 @@ class Session:
     """
 
     stepper: Stepper[Any]
+    compiled: CompiledHeld | CompiledPolynomials | None
+    rows: tuple[Rows, ...]
 
     def __init__(
         self,
         ensemble: Ensemble,
         coupling: Coupling,
+        columns: Columns,
         start: float,
         stop: float,
         tolerance: float | None,
         max_steps: int | None,
-        rows: Sequence[Rows],
-        progress: Progress | None,
     ) -> None:
         self.ensemble = ensemble
+        self.columns = columns
         self.start, self.stop = start, stop
-        self.steps = self.rejected = self.events = self.floors = 0
-        self.largest_error = 0.0
         self.exchange = Exchange(ensemble)
         self._coupling = coupling
         self._tolerance = tolerance
@@ -79,8 +82,25 @@ class Session:
         self.lands = coupling.lands_on_events and all(
             member.description.can_vary_step for member in ensemble.system.members
         )
+
+    def begin(
+        self, system: ResolvedSystem, rows: Sequence[Rows], progress: Progress | None
+    ) -> None:
+        """Get ready for a run.
+
+        Parameters
+        ----------
+        system : ResolvedSystem
+            That of the ensemble, perhaps with other start values.
+        rows : sequence of Rows
+        progress : callable or None
+            Called with the fraction done, about ten times a second.
+        """
+        self.ensemble.begin(system)
+        self.steps = self.rejected = self.events = self.floors = 0
+        self.largest_error = 0.0
         self.rows = tuple(rows)
-        self._time = start
+        self._time = self.start
         self._progress = progress
         self._next_report = 0.0
         self._is_initialised = False
@@ -119,7 +139,10 @@ class Session:
         ensemble.read_all()
         ensemble.check(self.start)
         ensemble.calls = 0
-        self.stepper = self._coupling.stepper(ensemble, self.exchange, self._tolerance)
+        if "stepper" in vars(self):
+            self.stepper.renew()
+        else:
+            self.stepper = self._coupling.stepper(ensemble, self.exchange, self._tolerance)
         state = self.stepper.start(self.start, None)
         self._is_initialised = True
         for rows in self.rows:

@@ -19,12 +19,13 @@ from congelation.cosim.compiled import (
     UNUSUAL,
     CompiledHeld,
     CompiledPolynomials,
+    available,
     fits,
 )
 from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.coupling.derivative import DerivativeStepper
 from congelation.cosim.coupling.held import GaussSeidelStepper, JacobiStepper
-from congelation.cosim.coupling.hermite import HermiteStepper, Plan
+from congelation.cosim.coupling.hermite import HermiteStepper
 from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session, just_before
@@ -64,7 +65,7 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
     """
     near, advance, record = points.near, session.stepper.advance, session.record
     event = session.next_event(session.start)
-    compiled = _compiled_fixed(session)
+    compiled = _compiled(session, None)
     time, k = session.start, 0
     while len(ends := points.after(k, session.most)):
         if compiled is not None:
@@ -96,18 +97,6 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
                 state = advance(state, time, end)
                 record(end)
                 time = end
-
-
-def _compiled_fixed(session: Session) -> CompiledHeld | CompiledPolynomials | None:
-    """The compiled loop for fixed steps, if this is a run that it makes."""
-    stepper, ensemble, rows = session.stepper, session.ensemble, session.rows
-    if not fits(ensemble, rows):
-        return None
-    if isinstance(stepper, JacobiStepper | GaussSeidelStepper):
-        return CompiledHeld(ensemble, rows, session.exchange, sequential=stepper.sequential)
-    if isinstance(stepper, DerivativeStepper) and (ahead := stepper.plan()) is not None:
-        return _polynomials(session, stepper, ahead, 1.0)
-    return None
 
 
 def _made(
@@ -169,7 +158,8 @@ def run_adaptive(
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
     event = session.next_event(time)
-    compiled = _compiled_adaptive(session, tolerance)
+    compiled = _compiled(session, tolerance)
+    assert not isinstance(compiled, CompiledHeld)  # which takes no tolerance
     while time < session.stop:
         if compiled is not None:
             code, state, size, time, event = compiled.adaptive(
@@ -219,36 +209,48 @@ def run_adaptive(
             event = session.next_event(time)
 
 
-def _compiled_adaptive(session: Session, tolerance: float) -> CompiledPolynomials | None:
-    """The compiled loop for steps chosen by a tolerance, if this is a run that it makes."""
-    stepper, rows = session.stepper, session.rows
-    if not isinstance(stepper, HermiteStepper | DerivativeStepper) or not fits(
-        session.ensemble, rows
-    ):
+def _compiled(
+    session: Session, tolerance: float | None
+) -> CompiledHeld | CompiledPolynomials | None:
+    """The compiled loop, if this is a run that it makes; kept from run to run."""
+    if not available():
         return None
-    plan = stepper.plan()
-    if plan is None:
-        return None
-    return _polynomials(session, stepper, plan, tolerance)
+    if "compiled" not in vars(session):
+        session.compiled = _new_compiled(session, tolerance)
+    elif session.compiled is not None:
+        session.compiled.renew(session.rows)
+    return session.compiled
 
 
-def _polynomials(
-    session: Session,
-    stepper: HermiteStepper | DerivativeStepper,
-    plan: Plan | npt.NDArray[np.uint8],
-    tolerance: float,
-) -> CompiledPolynomials:
-    return CompiledPolynomials(
+def _new_compiled(
+    session: Session, tolerance: float | None
+) -> CompiledHeld | CompiledPolynomials | None:
+    stepper, ensemble, rows, exchange = (
+        session.stepper,
         session.ensemble,
         session.rows,
         session.exchange,
-        session.lands,
-        plan,
-        tolerance,
-        stepper.first_change,
-        session.start,
-        session.stop,
     )
+    if not fits(ensemble, session.columns):
+        return None
+    if isinstance(stepper, JacobiStepper | GaussSeidelStepper):
+        return CompiledHeld(ensemble, rows, exchange, sequential=stepper.sequential)
+    if not isinstance(stepper, HermiteStepper | DerivativeStepper):
+        return None
+    plan = stepper.plan()
+    if plan is not None:
+        return CompiledPolynomials(
+            ensemble,
+            rows,
+            exchange,
+            session.lands,
+            plan,
+            1.0 if tolerance is None else tolerance,
+            stepper.first_change,
+            session.start,
+            session.stop,
+        )
+    return None
 
 
 def _end(time: float, length: float, target: float) -> float:

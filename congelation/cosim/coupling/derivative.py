@@ -143,6 +143,10 @@ class DerivativeStepper(AdaptiveStepper[Points]):
             held if held.any() else None,
         )
 
+    def renew(self) -> None:
+        super().renew()
+        self.watch.clear()
+
     def start(self, time: float, before: Points | None) -> Points:
         state = Points.begun(time, self._reader.start())
         if self._watches:  # otherwise each trial has an error of its own

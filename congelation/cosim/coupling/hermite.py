@@ -298,6 +298,10 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
             return wanted
         return LOW if self._tolerance is None or unfit.any() else HIGH
 
+    def renew(self) -> None:
+        super().renew()
+        self._largest = 0.0
+
     def start(self, time: float, before: HermiteState | None) -> HermiteState:
         points = Points.begun(time, self._reader.start())
         if before is None:
