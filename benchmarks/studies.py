@@ -6,17 +6,18 @@ the tolerance is 1e-6, no trajectory is kept, and each run has five metrics.
 
 from __future__ import annotations
 
-import os
 import resource
 import sys
 import tempfile
-from collections.abc import Callable, Iterable
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from time import perf_counter, process_time
+from typing import Any
 
 from benchmarks.markdown import table
+from congelation.cosim import master
 from congelation.cosim.pool import SlavePool
 from congelation.scenario.axes import RandomAxis, Sweep
 from congelation.scenario.load import load_scenario
@@ -63,12 +64,12 @@ def in_one_process(runs: int) -> tuple[float, float]:
             tasks = list(plan.tasks())
             for task in tasks[:WARM]:
                 execute(plan.job, task, pool, _ignore)
-            spent = _timed_stepping()
-            begin = process_time()
-            for task in tasks[WARM:]:
-                outcome, _ = execute(plan.job, task, pool, _ignore)
-                assert outcome.status == "COMPLETED", outcome
-            whole = process_time() - begin
+            with _timed_stepping() as spent:
+                begin = process_time()
+                for task in tasks[WARM:]:
+                    outcome, _ = execute(plan.job, task, pool, _ignore)
+                    assert outcome.status == "COMPLETED", outcome
+                whole = process_time() - begin
     return whole / runs, (whole - sum(spent)) / runs
 
 
@@ -96,14 +97,13 @@ def measure(runs: int) -> str:
     return "\n".join(table(heads, rows))
 
 
-def _timed_stepping() -> list[float]:
-    """From now on the processor time of each run's stepping is noted there."""
-    from congelation.cosim import master
-
+@contextmanager
+def _timed_stepping() -> Iterator[list[float]]:
+    """Meanwhile the processor time of each run's stepping is noted."""
     spent: list[float] = []
-    inner: Callable[..., None] = master.run_adaptive
+    inner = master.run_adaptive
 
-    def timed(*arguments: object) -> None:
+    def timed(*arguments: Any) -> None:
         begin = process_time()
         try:
             inner(*arguments)
@@ -111,7 +111,10 @@ def _timed_stepping() -> list[float]:
             spent.append(process_time() - begin)
 
     master.run_adaptive = timed
-    return spent
+    try:
+        yield spent
+    finally:
+        master.run_adaptive = inner
 
 
 def _ignore(fraction: float) -> None:
@@ -120,11 +123,9 @@ def _ignore(fraction: float) -> None:
 
 def _used() -> float:
     """Processor time of this process and its children that have ended, in seconds."""
-    who: Iterable[int] = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
-    usages = map(resource.getrusage, who)
+    usages = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return sum(usage.ru_utime + usage.ru_stime for usage in usages)
 
 
 if __name__ == "__main__":
-    os.nice(0)
     print(measure(int(sys.argv[1]) if len(sys.argv) > 1 else 1000))

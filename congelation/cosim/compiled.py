@@ -363,6 +363,7 @@ class _Compiled:
     def renew(self, rows: Sequence[Rows]) -> None:
         """Get ready for another run of the ensemble, with rows of the same kinds."""
         self._rows = rows
+        self.loop.largest_error = 0.0
         if self._direct is not None:
             assert isinstance(rows[0], EveryStep)
             self._direct = rows[0]

@@ -29,9 +29,7 @@ class SlavePool:
         self._idle: dict[tuple[str, str], list[Slave]] = defaultdict(list)
         self._sessions: deque[tuple[object, Session]] = deque(maxlen=KEPT_SESSIONS)
 
-    def session(
-        self, key: object, slaves: Sequence[Slave], make: Callable[[], Session]
-    ) -> Session:
+    def session(self, key: object, slaves: Sequence[Slave], make: Callable[[], Session]) -> Session:
         """What is set up for a run: kept from an earlier run with these instances, or made.
 
         Parameters

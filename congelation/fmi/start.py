@@ -48,10 +48,16 @@ def resolve_start(
     for name, value in start.items():
         # A study resolves the same parameters run after run, nearly all of them plain numbers.
         known = description.variables.get(name)
-        if type(value) is float and known is not None and known.type == "Real":
-            if known.settable and name not in found and math.isfinite(value):
-                found[name] = StartValue(known, value)
-                continue
+        if (
+            isinstance(value, float)
+            and known is not None
+            and known.type == "Real"
+            and known.settable
+            and math.isfinite(value)
+            and name not in found
+        ):
+            found[name] = StartValue(known, float(value))
+            continue
         here = f"{place}, start value '{name}'"
         for variable, scalar in _scalars(description, name, value, here):
             if variable.name in found:
