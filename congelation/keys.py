@@ -185,6 +185,11 @@ AXIS = Table(
         Key("log_uniform", "numbers", "[low, high], both positive"),
         Key("normal", "numbers", "[mean, standard deviation]"),
         Key("integers", "numbers", "[first, last], whole numbers"),
+        Key(
+            "variants",
+            "texts",
+            "the variants that it is of, by default all; the others are run once without it",
+        ),
     ),
 )
 

@@ -13,6 +13,8 @@ from congelation.cosim.info import info as look_at
 from congelation.errors import DesignWarning
 from congelation.export.build import build as build_fmus
 from congelation.export.examples import copy_examples, write_starter
+from congelation.places import check_file
+from congelation.report.certificates import SHORT, write_certificates
 from congelation.verify.certify import Certification, Verdict
 from congelation.verify.certify import certify as search
 
@@ -107,16 +109,6 @@ def info(
         print(found)
 
 
-_SHORT = {
-    Verdict.HOLDS: "holds",
-    Verdict.VIOLATED: "violated",
-    Verdict.NOT_CLAIMED: "no certificate",
-    Verdict.ASSUMPTION_BROKEN: "assumption",
-    Verdict.PRECISION: "precision",
-}
-"""The verdicts as cells of a table."""
-
-
 def certify(
     file: Annotated[Path, typer.Argument(help="Spec or scenario (.toml).", show_default=False)],
     samples: Annotated[int, typer.Option(min=1, help="Random states to try.")] = 1000,
@@ -129,6 +121,9 @@ def certify(
             show_default="none",
         ),
     ] = None,
+    html: Annotated[
+        Path | None, typer.Option(help="Write a page for people.", metavar="FILE")
+    ] = None,
     json: AsJson = False,
 ) -> None:
     """Check the assumptions of a design, and search for states where V' exceeds its promise.
@@ -136,7 +131,11 @@ def certify(
     Exit code 0: every design holds; 3: one is violated or breaks an assumption; 1: of one nothing
     can be said, because its law has no certificate or double precision does not suffice.
     """
+    if html is not None:
+        check_file("--html", html)
     found = search(file, samples=samples, seed=seed, umax=umax)
+    if html is not None:
+        write_certificates(found, file, html, samples=samples, seed=seed)
     if json:
         print_json([_record(certification) for certification in found])
     else:
@@ -198,5 +197,5 @@ def _line(found: Certification) -> tuple[str, list[str]]:
         "" if margin is None else f"{margin.relative:.1e}",
         "any" if found.delta is None else f"{found.delta:.4g}",
         f"{found.design.radius:.4g}",
-        _SHORT[found.verdict],
+        SHORT[found.verdict],
     ]

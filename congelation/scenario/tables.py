@@ -52,6 +52,7 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
     experiment, measured = _recording(top, resolved, experiment, metrics, figures)
     reader = SettingsReader(
         {member.name: member.description for member in resolved.members},
+        {component.name: component.start for component in components},
         _driven(resolved),
         experiment,
     )
@@ -60,7 +61,9 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
         reader.check_free(start, component.name, component.start)
     variants = _variants(top["variants"], reader) or (Variant(stem),)
     _check_figures(top["figures"], figures, experiment, variants)
-    sweep = read_sweep(top["sweep"], reader) if "sweep" in document.data else None
+    sweep = None
+    if "sweep" in document.data:
+        sweep = read_sweep(top["sweep"], reader, [variant.name for variant in variants])
     given = {f"{c.name}.{name}" for c in components for name in c.start}
     given |= {name for variant in variants for name in variant.settings}
     given |= set(sweep.names()) if sweep is not None else set()

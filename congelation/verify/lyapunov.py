@@ -8,7 +8,7 @@ has its ell elsewhere, at the end of the interval that makes the perturbation st
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -145,7 +145,7 @@ def with_certificate(case: Case, run: Trajectory) -> Trajectory:
     names = tuple(f"{CERTIFICATE}.{name}" for name in added)
     values = np.column_stack([run.values, *added.values()])
     units = dict(run.units) | dict.fromkeys(names, "")
-    return Trajectory(run.time, (*run.columns, *names), values, units)
+    return replace(run, columns=(*run.columns, *names), values=values, units=units)
 
 
 def center(found: Reference) -> Floats:
