@@ -291,6 +291,12 @@ STRUCTURE = Table(
             "congelation",
             choices=("congelation", "bound-estimator", "filtered-transformation"),
         ),
+        Key(
+            "Upsilon",
+            "table",
+            "structured variations, theta(t) = Upsilon(t) vartheta + theta_u(t)",
+            table=Table("By row.", extra=Key("i", "texts", "formulas in t, as many in each row")),
+        ),
         Key("A", "matrix", "of x' = A x + B (u + theta^T x)"),
         Key("B", "matrix", "of x' = A x + B (u + theta^T x)"),
         Key("size", "integer", "number of signals of a block", 1, least=1, most=LARGEST_ORDER),
