@@ -84,6 +84,7 @@ COMPONENT = Table(
         Key(
             "fmu", "text", "name of a file in a fmus/ folder, or a path ending in .fmu", None, True
         ),
+        Key("native", "boolean", "take the native twin, fmus/native/NAME.fmu", False),
         Key("start", "table", "start values: parameters, states, inputs", table=VALUES),
         Key("profile", "table", "theta(t) of a plant, signals of a block", table=PROFILES),
     ),
@@ -290,6 +291,12 @@ STRUCTURE = Table(
             "the controller: that of the paper, or a rival of it",
             "congelation",
             choices=("congelation", "bound-estimator", "filtered-transformation"),
+        ),
+        Key(
+            "Upsilon",
+            "table",
+            "structured variations, theta(t) = Upsilon(t) vartheta + theta_u(t)",
+            table=Table("By row.", extra=Key("i", "texts", "formulas in t, as many in each row")),
         ),
         Key("A", "matrix", "of x' = A x + B (u + theta^T x)"),
         Key("B", "matrix", "of x' = A x + B (u + theta^T x)"),

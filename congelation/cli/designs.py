@@ -76,11 +76,17 @@ def build(
             "--native", help="Their native twins, which run without Python, into DIR/native."
         ),
     ] = False,
+    c_code: Annotated[
+        bool,
+        typer.Option(
+            "--c-code", help="The bare controllers as C for sampled control instead, into DIR/c."
+        ),
+    ] = False,
 ) -> None:
     """Build the plant and the controller FMUs of specs."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", DesignWarning)
-        paths = build_fmus(*specs, out=out, native=native)
+        paths = build_fmus(*specs, out=out, native=native, c_code=c_code)
     for warning in found:
         complain(f"warning: {warning.message}")
     for path in paths:

@@ -135,6 +135,8 @@ class Ensemble:
         Send it its columns of C[0] alone.
     reads, writes, holds : list of list of Transfer, one per slave
         What these three do, as data.
+    events : list of int
+        Places in Y of the announcements of jumps.
     checked : list of array, one per slave
         The parts of Y in which every value has to be finite.
     read_calls, write_calls : list of int, one per slave
@@ -159,12 +161,20 @@ class Ensemble:
     ) -> None:
         self.system = system
         self.slaves = tuple(slaves)
+        self._plan_outputs(recorded, derivatives, slopes, events)
+        self._plan_inputs(derivatives)
+        self.begin(system)
+
+    def begin(self, system: ResolvedSystem) -> None:
+        """Get ready for a run of this system, which may differ in start values alone from the one
+        that the ensemble was made for; its slaves are new or reset."""
+        self.system = system
         self.stepping = False
         self.calls = 0
         self.level = 0
         self._states: dict[int, list[tuple[Slave, State]]] = {}
-        self._plan_outputs(recorded, derivatives, slopes, events)
-        self._plan_inputs(derivatives)
+        self.Y[:] = 0.0
+        self.C[:] = 0.0
 
     # -- what is read -------------------------------------------------------------------------
 
@@ -199,7 +209,7 @@ class Ensemble:
         self.read: list[Call] = []
         self.reads: list[list[Transfer]] = []
         self.checked: list[Floats] = []
-        self._events: list[int] = []
+        self.events: list[int] = []
         begin = 0
         for part, slave in zip(parts, self.slaves, strict=True):
             middle, end = begin + len(part.plain), begin + len(part.names)
@@ -217,7 +227,7 @@ class Ensemble:
             self.read.append(self._calls(slave, reads))
             announces = EVENT in part.plain
             if announces:
-                self._events.append(middle - 1)
+                self.events.append(middle - 1)
             # An announcement may be infinite, so the check of finite values stops before it.
             self.checked.append(self.Y[begin : middle - announces])
             begin = end
@@ -250,7 +260,7 @@ class Ensemble:
         else:
             return
         for k, value in enumerate(self.Y.tolist()):
-            if k in self._events:
+            if k in self.events:
                 continue
             where = f"{self._names[k]} at t = {time:.9g}"
             if not math.isfinite(value):
@@ -260,7 +270,7 @@ class Ensemble:
 
     def next_event(self, time: float) -> float:
         """The first jump announced after `time`; infinity where there is none."""
-        announced = (float(self.Y[k]) for k in self._events)
+        announced = (float(self.Y[k]) for k in self.events)
         return min((event for event in announced if event > time), default=math.inf)
 
     # -- what is sent -------------------------------------------------------------------------

@@ -76,6 +76,8 @@ class Exchange:
 
     Attributes
     ----------
+    blocks : list of Block
+        In the order in which they are carried over.
     loops : tuple of str
         Each algebraic loop as the names of its connections.
     """
@@ -165,7 +167,11 @@ class Exchange:
             z_before, r_before = z, r
             z = z + broyden_step(J, r)
             self._send(block, z)
-        raise RunEnded(
+        raise self.unsolved(block, time)
+
+    def unsolved(self, block: Block, time: float) -> RunEnded:
+        """What ends the run where a loop has no solution."""
+        return RunEnded(
             Status.LOOP_UNSOLVED,
             f"at t = {time:.9g}: no solution of the algebraic loop {self._names(block)}",
         )

@@ -30,6 +30,8 @@ The forms and the keys of their structure:
                        or phi: formulas, {1 = ["x[1]**2", "sin(x[1])"]}, p in each row;
                        gain = "varying": the input gain b(t) is the last element of theta;
                        tracking, radius = "estimated": what the law is to cope with;
+                       Upsilon: formulas in t of what is known of theta(t),
+                       {1 = ["1", "sin(2*t)"]}, as many in each of p rows;
                        law = "bound-estimator": a rival of congelation
     observer           n, m, filter: (27), with the "iss" or the "standard" K-filter;
                        tracking, radius as above; law = "filtered-transformation": a rival
@@ -216,6 +218,9 @@ def read_buildable(file: Path) -> Spec | BlockSpec:
     structure = _structure(read["structure"], form)
     plant, controller, special = top.attempt("structure", lambda: form.models(structure))
     units = read_units(read["units"], name, structure, plant, controller)
+    if "Upsilon" in structure and "theta_hat" not in read["units"].data:
+        # Estimated is vartheta, whose units are not those of theta.
+        units = {name: unit for name, unit in units.items() if name != "theta_hat"}
     sections = read["plant"], read["controller"]
     if structure.get("radius") == "estimated" and "delta" in sections[1].section("start").data:
         raise (
@@ -282,6 +287,20 @@ def _phi(section: Section, key: str) -> list[list[str]]:
     return rows
 
 
+def _upsilon(section: Section, key: str) -> list[list[str]]:
+    """Upsilon(t) from a table ``i = [..q formulas..]`` with the rows 1 .. p."""
+    p = section.value(keys.STRUCTURE["p"])
+    places = [str(i) for i in range(1, p + 1)]
+    table = section.section(key).only(places).require(*places)
+    rows: list[list[str]] = []
+    for place in places:
+        value = table.data[place]
+        if not isinstance(value, list) or not value or (rows and len(value) != len(rows[0])):
+            raise table.wrong(place, 'formulas such as "sin(2*t)", as many in each row')
+        rows.append([str(formula) for formula in value])
+    return rows
+
+
 def _numbers(section: Section, key: str) -> object:
     try:
         numbers = np.asarray(section.data[key], dtype=float)
@@ -292,7 +311,7 @@ def _numbers(section: Section, key: str) -> object:
     return numbers.tolist()
 
 
-_READERS = {"phibar": _phibar, "phi": _phi, "A": _numbers, "B": _numbers}
+_READERS = {"phibar": _phibar, "phi": _phi, "Upsilon": _upsilon, "A": _numbers, "B": _numbers}
 
 
 def _block(section: Section, model: Model, special: Special | None) -> FmuSpec:

@@ -49,6 +49,20 @@ def test_ls_and_show_as_json(out: Path) -> None:
     assert Path(shown["trajectory"]).is_file()
 
 
+@pytest.mark.parametrize("interval", [None, 0.05])
+def test_step_sizes_are_kept_whatever_rows_are(tmp_path: Path, interval: float | None) -> None:
+    """By a tolerance the master chooses steps; the rows are on a grid of their own, or not."""
+    own = "" if interval is None else f"\noutput_interval = {interval}"
+    chosen = f'coupling = "hermite"\ntolerance = 1e-5{own}'
+    found = run(write(tmp_path, SCALAR, ("step = 0.01", chosen)), out=tmp_path / "out")
+    for row in found.runs:
+        steps = found.trajectory(row.run_id).steps
+        assert steps is not None
+        assert steps.count == row.steps
+        assert steps.time[-1] == pytest.approx(1.0)
+        assert steps.length.sum() == pytest.approx(1.0)  # so few that all are kept
+
+
 def test_run_as_json(tmp_path: Path) -> None:
     done = congelation("run", write(tmp_path), "--out", tmp_path / "out", "--json")
     assert done.returncode == 0, done.stderr

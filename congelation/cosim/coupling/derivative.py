@@ -90,6 +90,7 @@ class DerivativeStepper(AdaptiveStepper[Points]):
         self._ensemble = ensemble
         self._exchange = exchange
         self._reader = LinkReader(ensemble)
+        self.first_change = FIRST_CHANGE
         self._sequential = coupling.sequence == "gauss_seidel"
         self._watches = not takes_back
         # Loops are solved at every communication point; for plain feedthrough the sequence of
@@ -141,6 +142,10 @@ class DerivativeStepper(AdaptiveStepper[Points]):
             linear if linear.any() else None,
             held if held.any() else None,
         )
+
+    def renew(self) -> None:
+        super().renew()
+        self.watch.clear()
 
     def start(self, time: float, before: Points | None) -> Points:
         state = Points.begun(time, self._reader.start())
@@ -210,7 +215,7 @@ class DerivativeStepper(AdaptiveStepper[Points]):
         return state.followed(end, reader.end(state, end, w)), w
 
     def first_step(self, state: Points) -> float:
-        return self._reader.time_scale(state.now) * FIRST_CHANGE
+        return self._reader.time_scale(state.now) * self.first_change
 
     def largest_error(self) -> float:
         return self.watch.largest()

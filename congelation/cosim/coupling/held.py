@@ -59,6 +59,10 @@ class _HeldStepper(Stepper[None]):
         held = sum(map(bool, ensemble.write_calls))
         self.calls_per_iteration = held + len(ensemble.slaves) + sum(ensemble.read_calls)
 
+    def renew(self) -> None:
+        super().renew()
+        self._watch.clear()
+
     def start(self, time: float, before: None) -> None:
         self._Y.take(self._source, out=self._watch.row(time), mode="clip")
 
@@ -249,6 +253,10 @@ class _SampledStepper(Stepper[Samples]):
         self._watch = Watch(ensemble.nominal, extrapolated=False)
         self.iterations = 0
         self.calls_per_iteration = len(ensemble.slaves) + sum(ensemble.read_calls)
+
+    def renew(self) -> None:
+        super().renew()
+        self._watch.clear()
 
     def start(self, time: float, before: Samples | None) -> Samples:
         ensemble = self._ensemble

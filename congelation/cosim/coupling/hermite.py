@@ -236,6 +236,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         self._saves = coupling.rolls_back and tolerance is None
         self._accelerates = coupling.acceleration == "broyden"
         self._reader = LinkReader(ensemble)
+        self.first_change = FIRST_CHANGE
         self._highest = self._highest_order()
         self.halves = bool((ensemble.order < MAX_DERIVATIVE).any() or self._reader.inexact.size)
         self.order = HELD if self.halves else LOW
@@ -296,6 +297,10 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         if wanted is not None:
             return wanted
         return LOW if self._tolerance is None or unfit.any() else HIGH
+
+    def renew(self) -> None:
+        super().renew()
+        self._largest = 0.0
 
     def start(self, time: float, before: HermiteState | None) -> HermiteState:
         points = Points.begun(time, self._reader.start())
@@ -425,7 +430,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         return float(relative[worst]), worst
 
     def first_step(self, state: HermiteState) -> float:
-        return self._reader.time_scale(state.points.now) * FIRST_CHANGE
+        return self._reader.time_scale(state.points.now) * self.first_change
 
     def largest_error(self) -> float:
         return self._largest
