@@ -59,7 +59,7 @@ demo: fmus
 PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 # Debian's packages that tests use; a test that lacks one is skipped, and says so.
-SYSTEM_PACKAGES := chromium
+SYSTEM_PACKAGES := chromium cppcheck
 
 system-packages:
 	@for name in $(SYSTEM_PACKAGES); do \

@@ -84,6 +84,7 @@ COMPONENT = Table(
         Key(
             "fmu", "text", "name of a file in a fmus/ folder, or a path ending in .fmu", None, True
         ),
+        Key("native", "boolean", "take the native twin, fmus/native/NAME.fmu", False),
         Key("start", "table", "start values: parameters, states, inputs", table=VALUES),
         Key("profile", "table", "theta(t) of a plant, signals of a block", table=PROFILES),
     ),
@@ -185,6 +186,11 @@ AXIS = Table(
         Key("log_uniform", "numbers", "[low, high], both positive"),
         Key("normal", "numbers", "[mean, standard deviation]"),
         Key("integers", "numbers", "[first, last], whole numbers"),
+        Key(
+            "variants",
+            "texts",
+            "the variants that it is of, by default all; the others are run once without it",
+        ),
     ),
 )
 
@@ -286,6 +292,12 @@ STRUCTURE = Table(
             "congelation",
             choices=("congelation", "bound-estimator", "filtered-transformation"),
         ),
+        Key(
+            "Upsilon",
+            "table",
+            "structured variations, theta(t) = Upsilon(t) vartheta + theta_u(t)",
+            table=Table("By row.", extra=Key("i", "texts", "formulas in t, as many in each row")),
+        ),
         Key("A", "matrix", "of x' = A x + B (u + theta^T x)"),
         Key("B", "matrix", "of x' = A x + B (u + theta^T x)"),
         Key("size", "integer", "number of signals of a block", 1, least=1, most=LARGEST_ORDER),
@@ -334,7 +346,7 @@ SPEC = Table(
         Key(
             "units",
             "table",
-            "units of variables",
+            "units of variables; the equations of the form have to admit them",
             table=Table(
                 "By variable.",
                 extra=Key("VARIABLE", "name or names", "one unit, or one for each element"),

@@ -13,6 +13,8 @@ from congelation.cosim.info import info as look_at
 from congelation.errors import DesignWarning
 from congelation.export.build import build as build_fmus
 from congelation.export.examples import copy_examples, write_starter
+from congelation.places import check_file
+from congelation.report.certificates import SHORT, write_certificates
 from congelation.verify.certify import Certification, Verdict
 from congelation.verify.certify import certify as search
 
@@ -75,11 +77,17 @@ def build(
             "--native", help="Build native FMUs, which run without Python, into DIR/native."
         ),
     ] = False,
+    c_code: Annotated[
+        bool,
+        typer.Option(
+            "--c-code", help="The bare controllers as C for sampled control instead, into DIR/c."
+        ),
+    ] = False,
 ) -> None:
     """Build the plant and the controller FMUs of specs."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", DesignWarning)
-        paths = build_fmus(*specs, out=out, native=native)
+        paths = build_fmus(*specs, out=out, native=native, c_code=c_code)
     for warning in found:
         complain(f"warning: {warning.message}")
     for path in paths:
@@ -110,16 +118,6 @@ def info(
         print(found)
 
 
-_SHORT = {
-    Verdict.HOLDS: "holds",
-    Verdict.VIOLATED: "violated",
-    Verdict.NOT_CLAIMED: "no certificate",
-    Verdict.ASSUMPTION_BROKEN: "assumption",
-    Verdict.PRECISION: "precision",
-}
-"""Short names of the verdicts, for the table."""
-
-
 def certify(
     file: Annotated[Path, typer.Argument(help="Spec or scenario (.toml).", show_default=False)],
     samples: Annotated[int, typer.Option(min=1, help="Random states to try.")] = 1000,
@@ -131,6 +129,9 @@ def certify(
             show_default="none",
         ),
     ] = None,
+    html: Annotated[
+        Path | None, typer.Option(help="Write a page for people.", metavar="FILE")
+    ] = None,
     json: AsJson = False,
 ) -> None:
     """Check the assumptions of a design, and search for states where V' exceeds its promise.
@@ -138,7 +139,11 @@ def certify(
     Exit code 0: every design holds; 3: one is violated or breaks an assumption; 1: of one nothing
     can be said, because its law has no certificate or double precision does not suffice.
     """
+    if html is not None:
+        check_file("--html", html)
     found = search(file, samples=samples, seed=seed, umax=umax)
+    if html is not None:
+        write_certificates(found, file, html, samples=samples, seed=seed)
     if json:
         print_json([_record(certification) for certification in found])
     else:
@@ -200,5 +205,5 @@ def _line(found: Certification) -> tuple[str, list[str]]:
         "" if margin is None else f"{margin.relative:.1e}",
         "any" if found.delta is None else f"{found.delta:.4g}",
         f"{found.design.radius:.4g}",
-        _SHORT[found.verdict],
+        SHORT[found.verdict],
     ]

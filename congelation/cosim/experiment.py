@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from numbers import Real
 
 from congelation.cosim.coupling import Coupling, make_coupling, refuse_tolerance
@@ -123,7 +124,7 @@ class Experiment:
             )
         self.chosen_coupling  # noqa: B018  # refuses what is unknown
 
-    @property
+    @cached_property
     def chosen_coupling(self) -> Coupling:
         """The coupling itself.
 

@@ -7,12 +7,13 @@ import time as clock
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from congelation.cosim.compiled import CHUNK, Loop
+from congelation.cosim.compiled import CHUNK, CompiledHeld, CompiledPolynomials, Loop
 from congelation.cosim.coupling import Coupling, Stepper
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
-from congelation.cosim.recording import Rows
+from congelation.cosim.recording import Columns, Rows
 from congelation.cosim.result import RunEnded, Statistics, Status
+from congelation.cosim.system import ResolvedSystem
 
 __all__ = ["Progress", "Session", "just_before"]
 
@@ -26,58 +27,80 @@ UNITS_BEFORE = 8.0
 
 
 class Session:
-    """One run under way: what both loops share.
+    """One run under way: what both loops share. It can be kept for further runs that differ in
+    start values alone; see `begin`.
 
     Parameters
     ----------
     ensemble : Ensemble
     coupling : Coupling
+    columns : Columns
+        What is recorded.
     start, stop : float
         Seconds.
     tolerance : float or None
         For the step control.
     max_steps : int or None
-    rows : sequence of Rows
-    progress : callable or None
-        Called with the fraction done, about ten times a second.
 
     Attributes
     ----------
     stepper : Stepper
         There once `initialise` is done.
+    compiled : object
+        What makes the steps in C, or None; there once it was asked for, see `stepping`.
     steps, rejected, events, largest_error
         As in Statistics, `largest_error` for steps that are chosen by a tolerance.
+    exchange : Exchange
+    lands : bool
+        Whether communication points are placed on announced jumps.
     floors : int
         Steps whose error comes from the FMUs rather than from the step.
     """
 
     stepper: Stepper[Any]
+    compiled: CompiledHeld | CompiledPolynomials | None
+    rows: tuple[Rows, ...]
 
     def __init__(
         self,
         ensemble: Ensemble,
         coupling: Coupling,
+        columns: Columns,
         start: float,
         stop: float,
         tolerance: float | None,
         max_steps: int | None,
-        rows: Sequence[Rows],
-        progress: Progress | None,
     ) -> None:
         self.ensemble = ensemble
+        self.columns = columns
         self.start, self.stop = start, stop
-        self.steps = self.rejected = self.events = self.floors = 0
-        self.largest_error = 0.0
-        self._exchange = Exchange(ensemble)
+        self.exchange = Exchange(ensemble)
         self._coupling = coupling
         self._tolerance = tolerance
         self._max_steps = math.inf if max_steps is None else max_steps
         # A point on a jump makes a step of another length.
-        self._lands = coupling.lands_on_events and all(
+        self.lands = coupling.lands_on_events and all(
             member.description.can_vary_step for member in ensemble.system.members
         )
+
+    def begin(
+        self, system: ResolvedSystem, rows: Sequence[Rows], progress: Progress | None
+    ) -> None:
+        """Get ready for a run.
+
+        Parameters
+        ----------
+        system : ResolvedSystem
+            That of the ensemble, perhaps with other start values.
+        rows : sequence of Rows
+        progress : callable or None
+            Called with the fraction done, about ten times a second.
+        """
+        self.ensemble.begin(system)
+        self.steps = self.rejected = self.events = self.floors = 0
+        self.largest_error = 0.0
         self.rows = tuple(rows)
-        self._time = start
+        self._time = self.start
         self._progress = progress
         self._next_report = 0.0
         self._is_initialised = False
@@ -105,18 +128,21 @@ class Session:
         for slave in ensemble.slaves:
             slave.enter_initialization()
             slave.require_no_error()
-        self._exchange.settle(self.start)
+        self.exchange.settle(self.start)
         for slave in ensemble.slaves:
             slave.require_no_error()
             slave.exit_initialization()
             slave.require_no_error()
         ensemble.stepping = True
         if ensemble.moves_derivatives:
-            self._exchange.run(self.start)
+            self.exchange.run(self.start)
         ensemble.read_all()
         ensemble.check(self.start)
         ensemble.calls = 0
-        self.stepper = self._coupling.stepper(ensemble, self._exchange, self._tolerance)
+        if "stepper" in vars(self):
+            self.stepper.renew()
+        else:
+            self.stepper = self._coupling.stepper(ensemble, self.exchange, self._tolerance)
         state = self.stepper.start(self.start, None)
         self._is_initialised = True
         for rows in self.rows:
@@ -128,7 +154,7 @@ class Session:
 
         It is at most the stop time, or infinite; within rounding of the stop time it is there.
         """
-        event = self.ensemble.next_event(time) if self._lands else math.inf
+        event = self.ensemble.next_event(time) if self.lands else math.inf
         if event > self.stop:
             return math.inf
         return event if event < just_before(self.stop) else self.stop
@@ -155,7 +181,7 @@ class Session:
         for slave in ensemble.slaves:
             slave.step(before, after - before)
         ensemble.calls += sum(ensemble.write_calls) + len(ensemble.slaves)
-        self._exchange.run(after)
+        self.exchange.run(after)
         state = self.stepper.start(after, state)
         self.events += 1
         ensemble.check(after)
@@ -187,22 +213,24 @@ class Session:
         if self._progress is not None and clock.monotonic() >= self._next_report:
             self.report((time - self.start) / (self.stop - self.start))
 
-    def took(self, loop: Loop, time: float) -> None:
-        """Count what the compiled loop did, up to the communication point `time`.
+    def took(self, loop: Loop) -> None:
+        """Count what the compiled loop did.
 
         Raises
         ------
         RunEnded
             TOO_MANY_STEPS.
         """
-        if loop.steps:
-            self._time = loop.time  # where the last step began
-            self.steps += loop.steps - 1
         self.rejected += loop.rejected
+        self.events += loop.events_crossed
+        self.ensemble.calls += loop.calls
         self.stepper.iterations += loop.passes
         self.largest_error = max(self.largest_error, loop.largest_error)
         if loop.steps:
-            self._count(time)
+            if loop.steps > 1:
+                self._time = loop.counted_before
+            self.steps += loop.steps - 1
+            self._count(loop.counted)
 
     @property
     def most(self) -> int:

@@ -43,7 +43,7 @@ REACH = 2.0
 CERTIFY_SAMPLES = 1000
 
 SHARES = (0.4, 0.2, 0.2, 0.2)
-"""Parts of the evaluations spent on the wishes as they are, then with emphasis on each objective."""
+"""Parts of the evaluations for the wishes as they are, then with emphasis on each objective."""
 
 EMPHASIS = 0.25
 """Factor by which the value of an emphasised wish is multiplied."""

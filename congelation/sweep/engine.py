@@ -32,7 +32,7 @@ from congelation.verify.assumptions import scenario_warnings
 
 __all__ = ["Listener", "Tally", "carry_out", "read", "result_folder", "run", "sweep"]
 
-BATCH, PERIOD = 100, 1.0
+BATCH, PERIOD = 1000, 1.0
 """Records, and seconds, after which they are committed: what a killed process repeats at most."""
 
 TASK_SECONDS = 0.05
