@@ -36,7 +36,8 @@ def test_choices_are_those_that_the_rooms_offer() -> None:
     assert keys.SWEEP["sampling"].choices == tuple(SAMPLINGS)
     assert keys.SPEC["form"].choices == (*FORMS, *BLOCKS)
     assert keys.STRUCTURE["filter"].choices == tuple(FILTERS)
-    assert {*keys.AXIS.names} == {"set", "values", "linspace", "logspace", *DISTRIBUTIONS}
+    spaced = {"values", "linspace", "logspace"}
+    assert {*keys.AXIS.names} == {"set", "variants", *spaced, *DISTRIBUTIONS}
     assert {*keys.STRUCTURE.names} == {
         key for form in (*FORMS.values(), *BLOCKS.values()) for key in form.keys
     }

@@ -37,7 +37,7 @@ _COMMANDS: Mapping[str, str] = {
     "ls": "cli.results",
     "show": "cli.results",
     "export": "cli.results",
-    "check": "conformance.command",
+    "check": "cli.check",
     "schema": "cli.schema",
     "export-ssp": "cli.runs",
 }

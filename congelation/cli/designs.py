@@ -13,6 +13,8 @@ from congelation.cosim.info import info as look_at
 from congelation.errors import DesignWarning
 from congelation.export.build import build as build_fmus
 from congelation.export.examples import copy_examples, write_starter
+from congelation.places import check_file
+from congelation.report.certificates import SHORT, write_certificates
 from congelation.verify.certify import Certification, Verdict
 from congelation.verify.certify import certify as search
 
@@ -23,7 +25,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 def new(
     name: Annotated[
-        str, typer.Argument(help="Of the folder to make, and of the FMUs.", show_default=False)
+        str, typer.Argument(help="Name of the new folder and of the FMUs.", show_default=False)
     ],
     source: Annotated[
         Path | None,
@@ -38,8 +40,8 @@ def new(
         float,
         typer.Option(
             min=0.0,
-            help="With --from: half the width of the intervals of coefficients of the denominator "
-            "given as numbers, relative to them.",
+            help="With --from: a coefficient of the denominator given as one number becomes an "
+            "interval that reaches this far to either side, relative to the number.",
         ),
     ] = 0.0,
 ) -> None:
@@ -55,7 +57,8 @@ def new(
 
 def examples(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Where to copy them.", show_default=False)
+        Path,
+        typer.Argument(metavar="DIR", help="Folder to copy the examples to.", show_default=False),
     ],
 ) -> None:
     """Copy the example specs and scenarios into the folders specs and scenarios of DIR."""
@@ -71,14 +74,20 @@ def build(
     native: Annotated[
         bool,
         typer.Option(
-            "--native", help="Their native twins, which run without Python, into DIR/native."
+            "--native", help="Build native FMUs, which run without Python, into DIR/native."
+        ),
+    ] = False,
+    c_code: Annotated[
+        bool,
+        typer.Option(
+            "--c-code", help="The bare controllers as C for sampled control instead, into DIR/c."
         ),
     ] = False,
 ) -> None:
     """Build the plant and the controller FMUs of specs."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", DesignWarning)
-        paths = build_fmus(*specs, out=out, native=native)
+        paths = build_fmus(*specs, out=out, native=native, c_code=c_code)
     for warning in found:
         complain(f"warning: {warning.message}")
     for path in paths:
@@ -90,12 +99,14 @@ def info(
     other: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[FMU]", help="A second one, to connect it with.", show_default=False
+            metavar="[FMU]", help="A second FMU to connect it with.", show_default=False
         ),
     ] = None,
     stop_time: Annotated[
         float | None,
-        typer.Option(help="Seconds of trial runs of a pair.", show_default="what the FMUs propose"),
+        typer.Option(
+            help="Length of the trial runs of a pair in s.", show_default="what the FMUs propose"
+        ),
     ] = None,
     json: AsJson = False,
 ) -> None:
@@ -107,27 +118,19 @@ def info(
         print(found)
 
 
-_SHORT = {
-    Verdict.HOLDS: "holds",
-    Verdict.VIOLATED: "violated",
-    Verdict.NOT_CLAIMED: "no certificate",
-    Verdict.ASSUMPTION_BROKEN: "assumption",
-    Verdict.PRECISION: "precision",
-}
-"""The verdicts as cells of a table."""
-
-
 def certify(
     file: Annotated[Path, typer.Argument(help="Spec or scenario (.toml).", show_default=False)],
     samples: Annotated[int, typer.Option(min=1, help="Random states to try.")] = 1000,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random states.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random states.")] = 0,
     umax: Annotated[
         float | None,
         typer.Option(
-            help="Largest |u| of a saturated control: look for the level set of V in which the "
-            "design never saturates.",
+            help="Limit of |u|: find the level set of V in which the control never saturates.",
             show_default="none",
         ),
+    ] = None,
+    html: Annotated[
+        Path | None, typer.Option(help="Write a page for people.", metavar="FILE")
     ] = None,
     json: AsJson = False,
 ) -> None:
@@ -136,7 +139,11 @@ def certify(
     Exit code 0: every design holds; 3: one is violated or breaks an assumption; 1: of one nothing
     can be said, because its law has no certificate or double precision does not suffice.
     """
+    if html is not None:
+        check_file("--html", html)
     found = search(file, samples=samples, seed=seed, umax=umax)
+    if html is not None:
+        write_certificates(found, file, html, samples=samples, seed=seed)
     if json:
         print_json([_record(certification) for certification in found])
     else:
@@ -198,5 +205,5 @@ def _line(found: Certification) -> tuple[str, list[str]]:
         "" if margin is None else f"{margin.relative:.1e}",
         "any" if found.delta is None else f"{found.delta:.4g}",
         f"{found.design.radius:.4g}",
-        _SHORT[found.verdict],
+        SHORT[found.verdict],
     ]

@@ -10,10 +10,25 @@ from typing import Annotated
 
 import typer
 
-from congelation.cli.shared import as_status, complain, print_figures, print_json, print_summary
+from congelation.cli.shared import (
+    as_status,
+    complain,
+    print_figures,
+    print_json,
+    print_summary,
+    print_table,
+)
 from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
 from congelation.places import check_file, check_folder
+from congelation.report.comparison import (
+    BY_VARIANT,
+    FEW,
+    changes_by_run,
+    changes_by_variant,
+    verdict,
+    write_comparison,
+)
 from congelation.report.exchange import write_csv, write_mat
 from congelation.report.html import write_html
 from congelation.report.pareto import draw_front, pareto_front
@@ -31,27 +46,34 @@ Directory = Annotated[
 
 SMALLEST, LARGEST = 2.0, 40.0  # inches: axes fit into the first, a poster is the second
 
-PAGE = "report.html"
-"""Name of the page in its result directory."""
+PAGE, COMPARISON = "report.html", "comparison.html"
+"""Names of the pages in a result directory; a comparison is in the last one that it compares."""
+
+Directories = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="DIR...",
+        help="Result directory; of several, each is compared with the first.",
+        show_default=False,
+    ),
+]
 
 Json = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 
 def report(
-    folder: Directory,
+    folders: Directories,
     html: Annotated[
         Path | None,
         typer.Option(
-            help="Where to write the page, one self-contained HTML file.",
+            help="File to write the report to, one self-contained page.",
             metavar="FILE",
-            show_default="DIR/report.html",
+            show_default="DIR/report.html; of a comparison, comparison.html in the last DIR",
         ),
     ] = None,
     figures: Annotated[
         Path | None,
-        typer.Option(
-            help="Where to write the figures.", metavar="FOLDER", show_default="DIR/figures"
-        ),
+        typer.Option(help="Folder for the figures.", metavar="FOLDER", show_default="DIR/figures"),
     ] = None,
     form: Annotated[
         list[str] | None,
@@ -77,7 +99,16 @@ def report(
         ),
     ] = None,
 ) -> None:
-    """Summarise a result directory, draw its figures and write its page from stored results."""
+    """Summarise a result directory, draw its figures and write its page, or compare several."""
+    if len(folders) > 1:
+        for option, value in (
+            ("--figures", figures), ("--format", form), ("--by", by), ("--pareto", pareto),
+        ):  # fmt: skip
+            if value:
+                raise InvalidInput(f"{option} is for one result directory; give DIR alone")
+        _compare(folders, html)
+        return
+    (folder,) = folders
     results = open_results(folder)
     study = results.study()
     formats = form or ["pdf", "png"]
@@ -112,10 +143,33 @@ def report(
         print(page)
 
 
-def open(folder: Directory) -> None:
-    """Write the page of a result directory, DIR/report.html, and show it in a browser."""
-    page = (folder / PAGE).absolute()
-    write_html(open_results(folder), page)
+def _compare(folders: Sequence[Path], html: Path | None) -> None:
+    """Print what differs between result directories, and write the page of it."""
+    if html is not None:
+        check_file("--html", html)
+    page = html or folders[-1] / COMPARISON
+    for found in write_comparison([open_results(folder) for folder in folders], page):
+        if len(found.pairs) <= FEW:
+            columns, lines = [*found.names, "difference", "change"], changes_by_run(found)
+        else:
+            columns, lines = [*BY_VARIANT], changes_by_variant(found)
+        print_table(f"{found.names[1]} against {found.names[0]}", columns, [*lines])
+        for sentence in verdict(found):
+            print(sentence)
+        for label, name in found.alone[:FEW]:
+            complain(f"{label}: only in {name}, or there more than once")
+        if len(found.alone) > FEW:
+            complain(f"and {len(found.alone) - FEW} more runs, which the page lists")
+    print(page)
+
+
+def open(folders: Directories) -> None:
+    """Write the page of a result directory, or of a comparison, and show it in a browser."""
+    page = (folders[-1] / (PAGE if len(folders) == 1 else COMPARISON)).absolute()
+    if len(folders) == 1:
+        write_html(open_results(folders[0]), page)
+    else:
+        write_comparison([open_results(folder) for folder in folders], page)
     print(page)
     if not webbrowser.open(page.as_uri()):
         complain(f"there is no browser to show it in; open {page} in one")
@@ -143,7 +197,10 @@ def ls(
 def show(
     folder: Directory,
     run_id: Annotated[
-        str, typer.Argument(metavar="RUN_ID", help="Or its first digits.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="RUN_ID", help="Id of a run, or its first digits.", show_default=False
+        ),
     ],
     as_json: Json = False,
 ) -> None:

@@ -27,6 +27,7 @@ from congelation.cosim.experiment import (
     slave_tolerance,
 )
 from congelation.cosim.pool import SlavePool
+from congelation.cosim.recording import Columns
 from congelation.cosim.result import Result, RunEnded
 from congelation.cosim.session import Session
 from congelation.cosim.system import MAX_DERIVATIVE, Member, ResolvedSystem, System
@@ -38,17 +39,18 @@ __all__ = ["Choice", "Lack", "chosen", "without"]
 Floats = npt.NDArray[np.float64]
 
 SHARE = 1e-3
-"""Of the horizon: the length of the steps that are tried, where the experiment gives none."""
+"""Length of the steps that are tried, as a part of the horizon, if the experiment gives none."""
 
 BEFORE_JUMP = 0.25
-"""Of the time to the first announced jump: the trial ends before it."""
+"""Part of the time to the first announced jump after which the trial ends."""
 
 LOOKED_AHEAD, LEAST_AHEAD, PART = 20, 10, 0.1
 """Steps of one length, at most, at least, and of the run, after which extrapolation must do better
 than holding inputs: where it is unstable, its errors have grown by then."""
 
 REPEATED = 0.5
-"""Of what a step changes: a step from a restored state that ends further off is another step."""
+"""Largest difference of a step from a restored state, relative to what the step changes; beyond it,
+the state was not restored."""
 
 HALF_WAY = 0.2
 """The same for a step of half the length."""
@@ -56,7 +58,7 @@ HALF_WAY = 0.2
 REFUSED_LENGTH = "refuses the second one"
 
 ROUNDING = 1e-6
-"""Relative: changes up to here show nothing."""
+"""Relative changes up to this size show nothing."""
 
 STATES, SLOPES = "can_get_and_set_state", "max_output_derivative_order"
 CUBICS, LENGTHS = "can_interpolate_inputs", "can_vary_step"
@@ -303,7 +305,9 @@ class _Trial:
         experiment = self._experiment
         ensemble = Ensemble(self._system, slaves, (), derivatives=True, slopes=False, events=True)
         start, stop = experiment.start_time, experiment.stop_time
-        session = Session(ensemble, Derivative(), start, stop, None, None, (), None)
+        columns = Columns(ensemble, (), latched=False)
+        session = Session(ensemble, Derivative(), columns, start, stop, None, None)
+        session.begin(self._system, (), None)
         try:
             session.initialise(slave_tolerance(experiment))
             self._steps(ensemble, session.next_event(start))

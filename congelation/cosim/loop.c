@@ -1,9 +1,9 @@
 /* The stepping loop, compiled: what stepping.py, held.py and hermite.py do in each communication step.
 
-   It takes the plain steps of a run, and nothing else. Where anything else happens (an FMU that does
-   not return fmi2OK, a value that is not finite, iterations that do not converge, a full block of
-   rows), it returns, and Python goes on from there: it has the messages, the jumps of theta and the
-   ends of runs. The arrays are those of the Python loop, and the arithmetic is in its order.
+   It makes the steps of a run and its jumps, and nothing else. Where anything else happens (an FMU that
+   does not return fmi2OK, a value that is not finite, iterations that do not converge, a full block of
+   rows), it returns, and Python goes on from there: it has the messages and the ends of runs. The arrays
+   are those of the Python loop, and the arithmetic is in its order.
 
    Symbols as in ensemble.py: Y is all that is read; C, of shape (4, L), the polynomials of the inputs,
    u(t + s) = C[0] + C[1] s + C[2] s^2/2 + C[3] s^3/6. */
@@ -20,7 +20,8 @@
 #endif
 
 enum { WARNING = 1 };                                 /* of fmi2Status */
-enum { DONE, FULL, REFUSED, NOT_FINITE, UNUSUAL };    /* why a run of steps ended */
+enum { DONE, FULL, REFUSED, NOT_FINITE, UNUSUAL, UNSOLVED };  /* why a run of steps ended */
+enum { POINT, BEFORE_JUMP, AFTER_JUMP };              /* what a row is of */
 
 typedef int (*StepFunction)(void *, double, double, int);
 typedef int (*RealFunction)(void *, const unsigned *, size_t, double *);
@@ -58,21 +59,39 @@ typedef struct {
                                       highest derivative that the input takes; else 0 */
 } Slave;
 
+/* Wires that are carried over together; Block of exchange.py. */
+typedef struct {
+    const int *sources, *targets;  /* slaves to read first, and to set afterwards */
+    int n_sources, n_targets;
+    ptrdiff_t n;
+    const ptrdiff_t *places, *slots;  /* (n,): of the values in Y, and in C */
+    const double *nominal;    /* (n,) */
+    int loops;                /* whether the values depend on themselves */
+} Block;
+
 typedef struct {
     const Slave *slaves;
-    int n_slaves, which;      /* `which`: the slave that ended a run of steps */
+    int n_slaves, which;      /* `which`: the slave, or block, that ended a run of steps */
     ptrdiff_t n_links;
     double *Y, *C;
     const ptrdiff_t *source, *source_derivative, *columns;  /* `columns`: first link of each slave */
     const double *nominal;
+    const Block *blocks;
+    double *solving;          /* of 6 n + 2 n^2 numbers, n being the size of the largest block that loops */
+    int n_blocks, n_events;
+    const ptrdiff_t *events;  /* places in Y of announced jumps; none where no step lands on them */
+    double stop;
     /* rows */
     double *rows;             /* (capacity, 1 + width) */
+    unsigned char *kinds;     /* (capacity,): what each row is of; NULL: they are rows of EveryStep */
     const ptrdiff_t *recorded;
     ptrdiff_t width, capacity, n_rows;
     long every, left;
+    long most;                /* steps after which to return, those taken back included */
     /* what became of it */
-    long steps, rejected, passes, state_calls;
+    long steps, rejected, events_crossed, passes, calls;
     double largest_error;
+    double counted, counted_before;  /* times of the last two steps that were counted */
     int status;               /* of the call that ended a run of steps */
     const char *function;     /* that call */
     double time;              /* at the beginning of its step */
@@ -80,7 +99,7 @@ typedef struct {
 
 /* Raised with each change of a structure or a function here: a library of another version, left over
    from an earlier installation, is not used. */
-EXPORT int loop_version(void) { return 2; }
+EXPORT int loop_version(void) { return 4; }
 
 static int refused(Loop *loop, int status, const char *function) {
     loop->status = status;
@@ -131,13 +150,206 @@ static int is_finite(const Loop *loop) {
     return 1;
 }
 
-/* Every n-th communication point, as EveryStep of recording.py. */
-static void record(Loop *loop, double time) {
-    if (loop->left) { loop->left--; return; }
+/* A communication point: as EveryStep of recording.py, or for Python to make rows of. */
+static void record(Loop *loop, double time, int kind) {
+    if (!loop->kinds && kind == BEFORE_JUMP) return;
+    if (loop->left && kind == POINT) { loop->left--; return; }
     loop->left = loop->every - 1;
+    if (loop->kinds) loop->kinds[loop->n_rows] = (unsigned char)kind;
     double *row = loop->rows + loop->n_rows++ * (1 + loop->width);
     row[0] = time;
     for (ptrdiff_t k = 0; k < loop->width; k++) row[1 + k] = loop->Y[loop->recorded[k]];
+}
+
+/* Whether there is room for what a step or a jump records. */
+static int has_room(const Loop *loop) {
+    return loop->capacity - loop->n_rows >= (loop->kinds ? 2 : 1);
+}
+
+/* Session._count: whether as many steps have been made as are to be. */
+static int counted(Loop *loop, double time) {
+    loop->counted_before = loop->counted;
+    loop->counted = time;
+    loop->steps++;
+    return loop->steps + loop->rejected >= loop->most;
+}
+
+static double unit_in_the_last_place(double value) {
+    const double size = fabs(value);
+    return nextafter(size, INFINITY) - size;
+}
+
+static double just_before(double event) { return event - 8.0 * unit_in_the_last_place(event); }
+
+/* Session.next_event */
+static double next_event(const Loop *loop, double time) {
+    double event = INFINITY;
+    for (int k = 0; k < loop->n_events; k++) {
+        const double announced = loop->Y[loop->events[k]];
+        if (announced > time && announced < event) event = announced;
+    }
+    if (event > loop->stop) return INFINITY;
+    return event < just_before(loop->stop) ? event : loop->stop;
+}
+
+/* -- quasi-Newton steps, as broyden.py -------------------------------------------------------------- */
+
+/* Broyden's update of J, (n, n): G moved by dz + dr while z moved by dz. */
+static void learn(double *J, const double *dz, const double *dr, ptrdiff_t n, double *missed) {
+    double square = 0.0;
+    for (ptrdiff_t i = 0; i < n; i++) square += dz[i] * dz[i];
+    if (square == 0.0) return;
+    for (ptrdiff_t i = 0; i < n; i++) {
+        double expected = 0.0;
+        for (ptrdiff_t j = 0; j < n; j++) expected += J[i * n + j] * dz[j];
+        missed[i] = dz[i] + dr[i] - expected;
+    }
+    for (ptrdiff_t i = 0; i < n; i++)
+        for (ptrdiff_t j = 0; j < n; j++) J[i * n + j] += missed[i] * (dz[j] / square);
+}
+
+/* (I - J)^-1 r by elimination with pivots; r itself where that is singular. */
+static void quasi_newton(const double *J, const double *r, ptrdiff_t n, double *A, double *x) {
+    for (ptrdiff_t i = 0; i < n; i++) {
+        x[i] = r[i];
+        for (ptrdiff_t j = 0; j < n; j++) A[i * n + j] = (i == j ? 1.0 : 0.0) - J[i * n + j];
+    }
+    for (ptrdiff_t c = 0; c < n; c++) {
+        ptrdiff_t pivot = c;
+        for (ptrdiff_t i = c + 1; i < n; i++)
+            if (fabs(A[i * n + c]) > fabs(A[pivot * n + c])) pivot = i;
+        if (A[pivot * n + c] == 0.0) { memcpy(x, r, (size_t)n * sizeof *x); return; }
+        if (pivot != c) {
+            for (ptrdiff_t j = 0; j < n; j++) {
+                const double kept = A[c * n + j];
+                A[c * n + j] = A[pivot * n + j];
+                A[pivot * n + j] = kept;
+            }
+            const double kept = x[c];
+            x[c] = x[pivot];
+            x[pivot] = kept;
+        }
+        for (ptrdiff_t i = c + 1; i < n; i++) {
+            const double factor = A[i * n + c] / A[c * n + c];
+            for (ptrdiff_t j = c; j < n; j++) A[i * n + j] -= factor * A[c * n + j];
+            x[i] -= factor * x[c];
+        }
+    }
+    for (ptrdiff_t i = n - 1; i >= 0; i--) {
+        for (ptrdiff_t j = i + 1; j < n; j++) x[i] -= A[i * n + j] * x[j];
+        x[i] /= A[i * n + i];
+    }
+}
+
+
+/* -- outputs and inputs made to agree, as exchange.py ------------------------------------------------- */
+
+enum { MOST_ITERATIONS = 50 };
+static const double LOOP_TOLERANCE = 1e-11;
+
+static int read_sources(Loop *loop, const Block *block) {
+    for (int i = 0; i < block->n_sources; i++) {
+        const Slave *slave = &loop->slaves[loop->which = block->sources[i]];
+        const int code = call_reads(loop, slave);
+        loop->calls += slave->n_reads;
+        if (code) return code;
+    }
+    return DONE;
+}
+
+static int set_targets(Loop *loop, const Block *block, const double *values) {
+    for (ptrdiff_t i = 0; values && i < block->n; i++) loop->C[block->slots[i]] = values[i];
+    for (int i = 0; i < block->n_targets; i++) {
+        const Slave *slave = &loop->slaves[loop->which = block->targets[i]];
+        const int code = call_writes(loop, slave, slave->writes, slave->n_writes);
+        loop->calls += slave->n_writes;
+        if (code) return code;
+    }
+    return DONE;
+}
+
+/* Fixed point first, quasi-Newton from the second iteration on. */
+static int solve(Loop *loop, const Block *block) {
+    const ptrdiff_t n = block->n;
+    double *z = loop->solving, *r = z + n, *dz = r + n, *r_before = dz + n, *dr = r_before + n;
+    double *x = dr + n, *J = x + n, *A = J + n * n;
+    for (ptrdiff_t i = 0; i < n; i++) z[i] = loop->C[block->slots[i]];
+    memset(J, 0, (size_t)(n * n) * sizeof *J);
+    for (int count = 0; count < MOST_ITERATIONS; count++) {
+        int agrees = 1, finite = 1, code = read_sources(loop, block);
+        if (code) return code;
+        for (ptrdiff_t i = 0; i < n; i++) {
+            r[i] = loop->Y[block->places[i]] - z[i];
+            finite &= !!isfinite(r[i]);
+            agrees &= fabs(r[i]) <= LOOP_TOLERANCE * (block->nominal[i] + fabs(z[i]));
+        }
+        if (!finite) break;
+        if (agrees) return DONE;
+        if (count) {
+            for (ptrdiff_t i = 0; i < n; i++) dr[i] = r[i] - r_before[i];
+            learn(J, dz, dr, n, x);
+        }
+        memcpy(r_before, r, (size_t)n * sizeof *r);
+        quasi_newton(J, r, n, A, x);
+        for (ptrdiff_t i = 0; i < n; i++) {
+            const double moved = z[i] + x[i];
+            dz[i] = moved - z[i];
+            z[i] = moved;
+        }
+        if ((code = set_targets(loop, block, z))) return code;
+    }
+    loop->which = (int)(block - loop->blocks);
+    return UNSOLVED;
+}
+
+/* Exchange.run, of a system without discrete connections. */
+EXPORT int run_exchange(Loop *loop) {
+    const size_t L = (size_t)loop->n_links;
+    memset(loop->C + 2 * L, 0, 2 * L * sizeof(double));
+    for (int b = 0; b < loop->n_blocks; b++) {
+        const Block *block = &loop->blocks[b];
+        int code = read_sources(loop, block);
+        /* The values go through C: Y may change while targets are set. */
+        for (ptrdiff_t i = 0; !code && i < block->n; i++)
+            loop->C[block->slots[i]] = loop->Y[block->places[i]];
+        if (!code) code = set_targets(loop, block, NULL);
+        if (!code && block->loops) code = solve(loop, block);
+        if (code) return code;
+    }
+    for (int m = 0; m < loop->n_slaves; m++) {
+        const Slave *slave = &loop->slaves[loop->which = m];
+        const int code = call_reads(loop, slave);
+        loop->calls += slave->n_reads;
+        if (code) return code;
+    }
+    return DONE;
+}
+
+/* Session.cross: over the jump at `event`, where inputs and outputs are made to agree anew. */
+static int cross(Loop *loop, double before, double event) {
+    const size_t L = (size_t)loop->n_links;
+    record(loop, before, BEFORE_JUMP);
+    loop->time = before;
+    for (size_t k = 0; k < L; k++) loop->C[k] = loop->Y[loop->source[k]];
+    memset(loop->C + L, 0, 3 * L * sizeof(double));
+    for (int m = 0; m < loop->n_slaves; m++) {
+        const Slave *slave = &loop->slaves[loop->which = m];
+        if (call_writes(loop, slave, slave->writes, slave->n_writes)) return REFUSED;
+        loop->calls += slave->n_writes;
+    }
+    for (int m = 0; m < loop->n_slaves; m++) {
+        const Slave *slave = &loop->slaves[loop->which = m];
+        *slave->note = slave->step_note;
+        const int status = slave->step(slave->component, before, event - before, 1);
+        if (status > WARNING) return refused(loop, status, "fmi2DoStep");
+        loop->calls++;
+    }
+    const int code = run_exchange(loop);
+    if (code) return code;
+    loop->events_crossed++;
+    if (!is_finite(loop)) return NOT_FINITE;
+    record(loop, event, AFTER_JUMP);
+    return DONE;
 }
 
 /* -- held inputs: Jacobi, Gauss-Seidel ------------------------------------------------------------ */
@@ -150,7 +362,7 @@ EXPORT int run_held(Loop *loop, int sequential, double start, const double *poin
     int code = DONE;
     double time = start;
     for (long k = 0; k < count; k++) {
-        if (loop->n_rows == loop->capacity) return FULL;
+        if (!has_room(loop)) return FULL;
         const double end = points[k];
         loop->time = time;
         if (!sequential)
@@ -185,8 +397,8 @@ EXPORT int run_held(Loop *loop, int sequential, double start, const double *poin
             before[i] = value;
         }
         if (!is_finite(loop)) { code = NOT_FINITE; goto ended; }
-        record(loop, end);
-        loop->steps++;
+        record(loop, end, POINT);
+        counted(loop, end);
         time = end;
     }
 ended:
@@ -223,7 +435,7 @@ typedef struct {
     double *table;            /* (2, KEPT, L): values and derivatives at these points, the newest last */
     double *J;                /* (n, n) */
     double length;            /* for which J holds; 0: there is none yet */
-    double step, error_before;
+    double step, error_before, event;
     int rejected, n_grids;
     Grid *grids;              /* those that judge steps */
 } Memory;
@@ -232,7 +444,9 @@ typedef struct {
 typedef struct {
     int iterates;             /* hermite; else derivative */
     int highest, chooses, accelerates, max_iterations;
-    double tolerance, accuracy;
+    double tolerance, accuracy, horizon;
+    double first_change;      /* share of its size by which an input may change over a first step */
+    double shortest_kept;     /* step that Python keeps whatever its error; 0 where it keeps none */
     ptrdiff_t n_back;         /* links that are fed back: n = 2 n_back unknowns */
     const ptrdiff_t *back;
     double *work;             /* of work_size(L, n) numbers */
@@ -310,39 +524,6 @@ static void extrapolate(const Memory *memory, ptrdiff_t L, double end, const int
         }
 }
 
-/* (I - J)^-1 r by elimination with pivots; r itself where that is singular. */
-static void quasi_newton(const double *J, const double *r, ptrdiff_t n, double *A, double *x) {
-    for (ptrdiff_t i = 0; i < n; i++) {
-        x[i] = r[i];
-        for (ptrdiff_t j = 0; j < n; j++) A[i * n + j] = (i == j ? 1.0 : 0.0) - J[i * n + j];
-    }
-    for (ptrdiff_t c = 0; c < n; c++) {
-        ptrdiff_t pivot = c;
-        for (ptrdiff_t i = c + 1; i < n; i++)
-            if (fabs(A[i * n + c]) > fabs(A[pivot * n + c])) pivot = i;
-        if (A[pivot * n + c] == 0.0) { memcpy(x, r, (size_t)n * sizeof *x); return; }
-        if (pivot != c) {
-            for (ptrdiff_t j = 0; j < n; j++) {
-                const double kept = A[c * n + j];
-                A[c * n + j] = A[pivot * n + j];
-                A[pivot * n + j] = kept;
-            }
-            const double kept = x[c];
-            x[c] = x[pivot];
-            x[pivot] = kept;
-        }
-        for (ptrdiff_t i = c + 1; i < n; i++) {
-            const double factor = A[i * n + c] / A[c * n + c];
-            for (ptrdiff_t j = c; j < n; j++) A[i * n + j] -= factor * A[c * n + j];
-            x[i] -= factor * x[c];
-        }
-    }
-    for (ptrdiff_t i = n - 1; i >= 0; i--) {
-        for (ptrdiff_t j = i + 1; j < n; j++) x[i] -= A[i * n + j] * x[j];
-        x[i] /= A[i * n + i];
-    }
-}
-
 static int save(Loop *loop) {
     for (int m = 0; m < loop->n_slaves; m++) {
         const Slave *slave = &loop->slaves[m];
@@ -350,10 +531,10 @@ static int save(Loop *loop) {
         if (*slave->state) {
             *slave->note = slave->free_note;
             slave->free_state(slave->component, slave->state);
-            loop->state_calls++;
+            loop->calls++;
         }
         *slave->state = NULL;
-        loop->state_calls++;
+        loop->calls++;
         *slave->note = slave->get_note;
         const int status = slave->get_state(slave->component, slave->state);
         if (status > WARNING) return refused(loop, status, "fmi2GetFMUstate");
@@ -365,7 +546,7 @@ static int restore(Loop *loop) {
     for (int m = 0; m < loop->n_slaves; m++) {
         const Slave *slave = &loop->slaves[m];
         loop->which = m;
-        loop->state_calls++;
+        loop->calls++;
         *slave->note = slave->set_note;
         const int status = slave->set_state(slave->component, *slave->state);
         if (status > WARNING) return refused(loop, status, "fmi2SetFMUstate");
@@ -467,19 +648,11 @@ static int attempt(Loop *loop, const Plan *plan, const Memory *memory, double ti
         const double change = sqrt(sum);
         if (!isfinite(change)) return UNUSUAL;
         if (plan->accelerates && n && count > 1) {
-            /* Broyden's update: G moved by dz + dr while z moved by dz */
-            double square = 0.0;
-            for (ptrdiff_t i = 0; i < n; i++) square += (z[i] - z_before[i]) * (z[i] - z_before[i]);
-            if (square != 0.0)
-                for (ptrdiff_t i = 0; i < n; i++) {
-                    double missed = 0.0;
-                    for (ptrdiff_t j = 0; j < n; j++) missed += J[i * n + j] * (z[j] - z_before[j]);
-                    change_of[i] = (z[i] - z_before[i]) + (r[i] - r_before[i]) - missed;
-                }
-            if (square != 0.0)
-                for (ptrdiff_t i = 0; i < n; i++)
-                    for (ptrdiff_t j = 0; j < n; j++)
-                        J[i * n + j] += change_of[i] * ((z[j] - z_before[j]) / square);
+            for (ptrdiff_t i = 0; i < n; i++) {
+                z_before[i] = z[i] - z_before[i];
+                r_before[i] = r[i] - r_before[i];
+            }
+            learn(J, z_before, r_before, n, change_of);
         }
         memcpy(z_before, z, (size_t)n * sizeof *z);
         memcpy(r_before, r, (size_t)n * sizeof *r);
@@ -669,22 +842,50 @@ static double end_of(double time, double length, double target) {
     return time + (left < 2.0 * length ? left / 2.0 : length);
 }
 
-static double unit_in_the_last_place(double value) {
-    const double size = fabs(value);
-    return nextafter(size, INFINITY) - size;
+/* `start` of a coupling after a jump, and the first step from there. */
+static void restart(const Loop *loop, const Plan *plan, Memory *memory, double time) {
+    const ptrdiff_t L = loop->n_links;
+    double rate = 0.0;
+    memory->times[0] = time;
+    memory->n_times = 1;
+    memory->order = plan->highest;
+    memset(memory->table, 0, 2 * KEPT * (size_t)L * sizeof(double));
+    for (ptrdiff_t k = 0; k < L; k++) {
+        const double value = loop->Y[loop->source[k]], slope = loop->Y[loop->source_derivative[k]];
+        memory->table[(KEPT - 1) * L + k] = value;
+        memory->table[(2 * KEPT - 1) * L + k] = slope;
+        const double change = fabs(slope) / (loop->nominal[k] + fabs(value));
+        if (change > rate) rate = change;
+    }
+    const double first = rate > 0.0 ? 1.0 / rate * plan->first_change : INFINITY;
+    if (first < memory->step) memory->step = first;
+    memory->error_before = 1.0;
+    memory->rejected = 0;
+    for (int g = 0; g < memory->n_grids; g++) memory->grids[g].n_times = 0;
 }
 
-/* Steps from *time on to `target`, chosen by the tolerance, at most `most` of them, those taken back
-   included. `records_target`: whether the target is a communication point like others, or a jump
-   follows that records it.
-   On UNUSUAL the FMUs are where the step began, and Python makes it. */
-EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *time, double target,
-                       double horizon, long most, int records_target) {
+/* Steps from *time on to the stop time, chosen by the tolerance, over the jumps, the first of which is at
+   `memory->event`.
+   On UNUSUAL the FMUs are where the step began, and Python makes it. On NOT_FINITE and UNSOLVED a jump,
+   at `memory->event`, has led there. */
+EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *time) {
     const ptrdiff_t L = loop->n_links, n = 2 * plan->n_back;
     double *J = plan->work + 14 * L + 6 * n + n * n;
     const double *new = plan->work + 10 * L;
-    while (*time < target) {
-        if (loop->n_rows == loop->capacity || loop->steps + loop->rejected >= most) return FULL;
+    while (*time < loop->stop) {
+        const double event = memory->event, before = just_before(event);
+        const double target = before < loop->stop ? before : loop->stop;
+        if (!has_room(loop)) return FULL;
+        if (*time >= target) {
+            const int code = cross(loop, *time, event);
+            if (code) return code;
+            *time = event;
+            restart(loop, plan, memory, event);
+            sample(loop, memory, event);
+            memory->event = next_event(loop, event);
+            if (counted(loop, event)) return FULL;
+            continue;
+        }
         loop->time = *time;
         if (save(loop)) return REFUSED;
         double end;
@@ -722,9 +923,10 @@ EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *ti
             if (restore(loop)) return REFUSED;
             const double size = fabs(*time) > fabs(end) ? fabs(*time) : fabs(end);
             const double rounding = SMALLEST_STEP * unit_in_the_last_place(size);
-            const double share = SMALLEST_SHARE * horizon;
-            const double smallest = rounding > share ? rounding : share;
-            if (code != DONE || (!fits && length <= smallest)) return UNUSUAL;
+            const double share = SMALLEST_SHARE * plan->horizon;
+            const double resolved = rounding > share ? rounding : share;
+            const double smallest = resolved > plan->shortest_kept ? resolved : plan->shortest_kept;
+            if (code != DONE || (!(fits && scaled <= 1.0) && length <= smallest)) return UNUSUAL;
             /* StepSize.refused */
             double change = SMALLEST_CHANGE;
             if (isfinite(scaled)) {
@@ -738,10 +940,10 @@ EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *ti
         }
         follow(memory, end, new, L);
         *time = end;
-        if (end < target || records_target) {
-            record(loop, end);
+        if (end < target || event == INFINITY) {
+            record(loop, end, POINT);
             sample(loop, memory, end);
-            loop->steps++;
+            if (counted(loop, end)) return FULL;
         }
     }
     return DONE;
@@ -754,7 +956,7 @@ EXPORT int run_derivative(Loop *loop, const Plan *plan, Memory *memory, double *
     const ptrdiff_t L = loop->n_links;
     const double *new = plan->work + 10 * L;
     for (long k = 0; k < count; k++) {
-        if (loop->n_rows == loop->capacity) return FULL;
+        if (!has_room(loop)) return FULL;
         const double end = points[k], length = end - *time;
         loop->time = *time;
         Trial trial;
@@ -770,8 +972,8 @@ EXPORT int run_derivative(Loop *loop, const Plan *plan, Memory *memory, double *
             before[L + i] = new[L + i];
         }
         if (!is_finite(loop)) return NOT_FINITE;
-        record(loop, end);
-        loop->steps++;
+        record(loop, end, POINT);
+        counted(loop, end);
         *time = end;
     }
     return DONE;

@@ -19,12 +19,14 @@ from congelation.cosim.compiled import (
     UNUSUAL,
     CompiledHeld,
     CompiledPolynomials,
+    available,
     fits,
 )
 from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.coupling.derivative import DerivativeStepper
 from congelation.cosim.coupling.held import GaussSeidelStepper, JacobiStepper
 from congelation.cosim.coupling.hermite import HermiteStepper
+from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session, just_before
@@ -39,20 +41,20 @@ STRETCH = 1.1
 """A step is stretched by so much to reach its target, rather than leave a tiny one."""
 
 FIRST_SHARE = 1e-2
-"""Of the horizon: the longest first step."""
+"""Longest first step, as a part of the horizon."""
 
 SHORTEST_KEPT = 1e-6
-"""Of the horizon: where errors are predicted, a step of this length is kept whatever its error, as
-it holds a jump that no FMU announces. First steps are no shorter unless one is given."""
+"""Longest step, as a part of the horizon, that is kept whatever its error by couplings that pass over
+jumps that no FMU announces. First steps are no shorter unless one is given."""
 
 JUMPED = 10.0
-"""Tolerances: with a larger error, the values before the step say nothing of those to come."""
+"""Error, in tolerances, beyond which the values before a kept step say nothing of those to come."""
 
 SMALLEST_STEP = 16.0
-"""In units in the last place of time: below it, time does not resolve a step."""
+"""Smallest step, in units in the last place of the time: time does not resolve a shorter one."""
 
 SMALLEST_SHARE = 1e-15
-"""Of the horizon: the same near t = 0, where doubles resolve times of no meaning."""
+"""The same as a part of the horizon, for t near 0, where doubles resolve times of no meaning."""
 
 
 def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
@@ -71,7 +73,7 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
     """
     near, advance, record = points.near, session.stepper.advance, session.record
     event = session.next_event(session.start)
-    compiled = _compiled_fixed(session)
+    compiled = _compiled(session, None)
     time, k = session.start, 0
     while len(ends := points.after(k, session.most)):
         if compiled is not None:
@@ -105,19 +107,6 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
                 time = end
 
 
-def _compiled_fixed(session: Session) -> CompiledHeld | CompiledPolynomials | None:
-    """The compiled loop for fixed steps, if this is a run that it makes."""
-    stepper, ensemble, rows = session.stepper, session.ensemble, session.rows
-    if not fits(ensemble, rows):
-        return None
-    if isinstance(stepper, JacobiStepper | GaussSeidelStepper):
-        return CompiledHeld(ensemble, rows, sequential=stepper.sequential)
-    if isinstance(stepper, DerivativeStepper) and (ahead := stepper.plan()) is not None:
-        horizon = session.stop - session.start
-        return CompiledPolynomials(ensemble, rows, ahead, 1.0, horizon)
-    return None
-
-
 def _made(
     session: Session,
     compiled: CompiledHeld | CompiledPolynomials,
@@ -142,7 +131,7 @@ def _made(
     at = float(ends[made - 1]) if made else time
     if made and isinstance(session.stepper, DerivativeStepper):
         session.stepper.watch.passed(at, state.now)
-    session.took(compiled.loop, at)
+    session.took(compiled.loop)
     if code == REFUSED:
         compiled.refuse()
     if code == NOT_FINITE:
@@ -178,25 +167,20 @@ def run_adaptive(
     guess = max(shortest, min(stepper.first_step(state), FIRST_SHARE * horizon))
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
-    compiled = _compiled_adaptive(session, tolerance)
+    event = session.next_event(time)
+    compiled = _compiled(session, tolerance)
+    assert not isinstance(compiled, CompiledHeld)  # which takes no tolerance
     while time < session.stop:
-        event = session.next_event(time)
+        if compiled is not None:
+            code, state, size, time, event = compiled.adaptive(
+                state, size, time, event, session.most
+            )
+            session.took(compiled.loop)
+            compiled.raise_for(code, event)
+            if code != UNUSUAL:
+                continue
         target = min(session.stop, just_before(event))
-        while time < target:
-            if compiled is not None:
-                code, state, size, time = compiled.adaptive(
-                    state,
-                    size,
-                    time,
-                    target,
-                    most=session.most,
-                    records_target=math.isinf(event),
-                )
-                session.took(compiled.loop, time)
-                if code == REFUSED:
-                    compiled.refuse()
-                if code != UNUSUAL:
-                    continue
+        if time < target:
             if session.takes_back:
                 ensemble.save()
             refused: tuple[float, float] | None = None
@@ -236,7 +220,7 @@ def run_adaptive(
                 ensemble.restore()
                 session.rejected += 1
                 size = size.refused(error, end - time, order)
-            ensemble.copy_discrete()
+            settle_discrete(ensemble, end)
             state = trial.state
             session.largest_error = max(session.largest_error, trial.error)
             if stepper.halves:
@@ -244,24 +228,56 @@ def run_adaptive(
             time = end
             if time < target or math.isinf(event):
                 session.record(time)
-        if math.isfinite(event):
+        else:
             state = session.cross(state, time, event)
             time = event
-            size = size.restarted(min(size.length, stepper.first_step(state)))
+            size = size.restarted(min(size.length, stepper.first_step(state) or shortest))
+            event = session.next_event(time)
 
 
-def _compiled_adaptive(session: Session, tolerance: float) -> CompiledPolynomials | None:
-    """The compiled loop for steps chosen by a tolerance, if this is a run that it makes."""
-    stepper, rows = session.stepper, session.rows
-    if not isinstance(stepper, HermiteStepper | DerivativeStepper) or not fits(
-        session.ensemble, rows
-    ):
+def _compiled(
+    session: Session, tolerance: float | None
+) -> CompiledHeld | CompiledPolynomials | None:
+    """The compiled loop, if this is a run that it makes; kept from run to run."""
+    if not available():
+        return None
+    if "compiled" not in vars(session):
+        session.compiled = _new_compiled(session, tolerance)
+    elif session.compiled is not None:
+        session.compiled.renew(session.rows)
+    return session.compiled
+
+
+def _new_compiled(
+    session: Session, tolerance: float | None
+) -> CompiledHeld | CompiledPolynomials | None:
+    stepper, ensemble, rows, exchange = (
+        session.stepper,
+        session.ensemble,
+        session.rows,
+        session.exchange,
+    )
+    if not fits(ensemble, session.columns):
+        return None
+    if isinstance(stepper, JacobiStepper | GaussSeidelStepper):
+        return CompiledHeld(ensemble, rows, exchange, sequential=stepper.sequential)
+    if not isinstance(stepper, HermiteStepper | DerivativeStepper):
         return None
     plan = stepper.plan()
-    if plan is None or not session.takes_back:
+    if plan is None or not (tolerance is None or session.takes_back):
         return None
-    horizon = session.stop - session.start
-    return CompiledPolynomials(session.ensemble, rows, plan, tolerance, horizon)
+    return CompiledPolynomials(
+        ensemble,
+        rows,
+        exchange,
+        session.lands,
+        plan,
+        1.0 if tolerance is None else tolerance,
+        stepper.first_change,
+        SHORTEST_KEPT * (session.stop - session.start) if stepper.keeps else 0.0,
+        session.start,
+        session.stop,
+    )
 
 
 def _end(time: float, length: float, target: float) -> float:

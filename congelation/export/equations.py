@@ -15,7 +15,7 @@ import casadi as ca
 from congelation.export.straight_line import Block, constants_and_functions
 from congelation.theory.model import Model, Variables
 
-__all__ = ["Special", "constants_of", "equation_blocks", "equations_module"]
+__all__ = ["Special", "constants_of", "equation_blocks", "equations_module", "tangents_block"]
 
 
 @dataclass(frozen=True)
@@ -147,6 +147,36 @@ def equation_blocks(model: Model) -> Iterable[Block]:
     )
     yield Block(
         "derivatives", (x, v, d, *slopes_too), tuple(slopes), "Exact time derivatives of outputs."
+    )
+
+
+def tangents_block(model: Model) -> Block:
+    """Derivatives of all that `equation_blocks` compute, in the direction of seeds.
+
+    Forward mode on the expression graph (A. Griewank, A. Walther, Evaluating Derivatives, 2nd ed.,
+    section 3.1): the seeds of x, v, d and theta are further arguments.
+    """
+    blocks = {block.name: block for block in equation_blocks(model)}
+    groups = dict(blocks["derivatives"].arguments)
+    groups.setdefault("theta", ())
+    seeds = {
+        name: tuple(ca.SX.sym(f"seed_{name}{i}") for i in range(len(symbols)))
+        for name, symbols in groups.items()
+    }
+    results = [result for block in blocks.values() for result in block.results]
+    symbols = [symbol for group in groups.values() for symbol in group]
+    directions = [seed for group in seeds.values() for seed in group]
+    tangents = (
+        ca.jtimes(ca.vertcat(*results), ca.vertcat(*symbols), ca.vertcat(*directions))
+        if symbols
+        else ca.SX(len(results), 1)
+    )
+    arguments = (*groups.items(), *((f"{name}_seed", group) for name, group in seeds.items()))
+    return Block(
+        "tangents",
+        arguments,
+        tuple(tangents[i] for i in range(len(results))),
+        "Derivatives of rates, outputs and derivatives of outputs in the direction of the seeds.",
     )
 
 

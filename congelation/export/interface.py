@@ -19,9 +19,11 @@ __all__ = [
     "ProfileSlots",
     "ScalarVariable",
     "Start",
+    "StateVariable",
     "interface_of",
     "profiled_names",
     "start_names",
+    "state_variables",
 ]
 
 # Inputs take a value and derivatives up to this order: a cubic over the communication step.
@@ -144,6 +146,54 @@ def interface_of(model: Model, profiles: Sequence[ProfileSlots] = ()) -> Interfa
         tuple(starts),
         fields,
     )
+
+
+@dataclass(frozen=True)
+class StateVariable:
+    """A continuous state of model exchange: its value references, and its derivative's row.
+
+    `derivative` is the row of the derivative, which is a new variable behind those of `interface`
+    unless the state is an output with a ``der(.)``. `start` is the name of the start value.
+    """
+
+    reference: int
+    derivative_reference: int
+    derivative: ScalarVariable
+    start: str
+
+
+def state_variables(
+    model: Model, profiles: Sequence[ProfileSlots], interface: Interface
+) -> tuple[StateVariable, ...]:
+    """The continuous states of a model, in the order in which its equations take them."""
+    references = {v.name: vr for vr, v in enumerate(interface.variables)}
+    causes = _Causes(model, profiles)
+    plant = model.theta is not None
+    found: list[StateVariable] = []
+    behind = len(interface.variables)
+    for state in model.states:
+        v = state.variables
+        rates = ca.vertsplit(ca.vec(state.rate))
+        starts = start_names(state, plant)
+        for name, unit, rate, start in zip(v.names, v.units, rates, starts, strict=True):
+            row = ScalarVariable(
+                f"der({name})",
+                "Real",
+                "local",
+                "continuous",
+                "calculated",
+                None,
+                f"Time derivative of {name}",
+                _per_second(unit),
+                causes.behind(rate),
+            )
+            reference = references.get(row.name)
+            if reference is None:
+                reference, behind = behind, behind + 1
+            else:
+                row = interface.variables[reference]
+            found.append(StateVariable(references[name], reference, row, start))
+    return tuple(found)
 
 
 def profiled_names(model: Model) -> tuple[str, ...]:

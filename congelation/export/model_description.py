@@ -11,11 +11,11 @@ import uuid
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
-from congelation.export.interface import Interface, ScalarVariable
+from congelation.export.interface import Interface, ScalarVariable, StateVariable
 from congelation.fmi.description import ANNOTATION
 from congelation.fmi.units import base_unit
 
-__all__ = ["complete"]
+__all__ = ["add_model_exchange", "complete"]
 
 # The start of all GUIDs made here; its value means nothing, it only has to stay the same.
 _NAMESPACE = uuid.UUID("2f1de3ac-6a7e-5d6b-9b57-5a1f6f0f5c1e")
@@ -94,20 +94,94 @@ def _complete_variables(parent: ElementTree.Element, variables: Iterable[ScalarV
             real.set("start", repr(float(variable.start)))
 
 
-def _replace_structure(
-    structure: ElementTree.Element, variables: tuple[ScalarVariable, ...]
+def add_model_exchange(
+    root: ElementTree.Element, interface: Interface, states: tuple[StateVariable, ...]
 ) -> None:
-    """Outputs with their inputs, InitialUnknowns with all that they follow from."""
+    """Describe an FMU of co-simulation as one of model exchange, too.
+
+    Parameters
+    ----------
+    root : Element
+        Of a modelDescription.xml that `complete` made; it is changed.
+    interface : Interface
+        The variables in it.
+    states : tuple of StateVariable
+        The continuous states. Derivatives that are no variables yet come behind all others.
+    """
+    co_simulation = _child(root, "CoSimulation")
+    kept = ("modelIdentifier", "needsExecutionTool", "canGetAndSetFMUstate", "canSerializeFMUstate")
+    attributes = {name: str(co_simulation.get(name)) for name in kept}
+    # The functions of the C library are used, not those that the importer offers.
+    common = {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
+    co_simulation.attrib.update(common)
+    root.insert(
+        list(root).index(co_simulation),
+        ElementTree.Element(
+            "ModelExchange", {**attributes, **common, "completedIntegratorStepNotNeeded": "true"}
+        ),
+    )
+    root.set("numberOfEventIndicators", "0")
+    # New variables, and units that only these have.
+    parent = _child(root, "ModelVariables")
+    variables = list(interface.variables)
+    for state in states:
+        if state.derivative_reference == len(variables):
+            variables.append(state.derivative)
+            v = state.derivative
+            element = ElementTree.SubElement(
+                parent,
+                "ScalarVariable",
+                {
+                    "name": v.name,
+                    "valueReference": str(state.derivative_reference),
+                    "description": v.description,
+                    "causality": v.causality,
+                    "variability": v.variability,
+                    "initial": str(v.initial),
+                },
+            )
+            ElementTree.SubElement(element, "Real", {"unit": v.unit} if v.unit else {})
+        _child(parent[state.derivative_reference], "Real").set(
+            "derivative", str(state.reference + 1)
+        )
+    root[list(root).index(_child(root, "UnitDefinitions"))] = _units(variables)
+    _replace_structure(_child(root, "ModelStructure"), tuple(variables), states)
+
+
+def _replace_structure(
+    structure: ElementTree.Element,
+    variables: tuple[ScalarVariable, ...],
+    states: tuple[StateVariable, ...] = (),
+) -> None:
+    """Outputs with their inputs, InitialUnknowns with all that they follow from.
+
+    With states, outputs and derivatives depend on these, too; at initialisation the states follow
+    from their start values.
+    """
     structure.clear()
     index = {v.name: i for i, v in enumerate(variables, start=1)}
     inputs = {v.name for v in variables if v.causality == "input"}
+    state_of = {state.start: variables[state.reference].name for state in states}
+    started = {variables[s.reference].name: frozenset({s.start}) for s in states}
+    derivatives = {s.derivative.name for s in states}
+
+    def knowns(variable: ScalarVariable) -> frozenset[str]:
+        direct = {state_of[name] for name in variable.depends & state_of.keys()}
+        return (variable.depends & inputs) | direct
+
     outputs = ElementTree.SubElement(structure, "Outputs")
-    initial = ElementTree.SubElement(structure, "InitialUnknowns")
     for variable in variables:
         if variable.causality == "output":
-            _unknown(outputs, variable, index, variable.depends & inputs)
-        if variable.causality in ("output", "calculatedParameter"):
-            _unknown(initial, variable, index, variable.depends)
+            _unknown(outputs, variable, index, knowns(variable))
+    if states:
+        parent = ElementTree.SubElement(structure, "Derivatives")
+        for state in states:
+            _unknown(parent, state.derivative, index, knowns(state.derivative))
+    initial = ElementTree.SubElement(structure, "InitialUnknowns")
+    for variable in variables:
+        shown = variable.causality in ("output", "calculatedParameter")
+        if shown or variable.name in derivatives or variable.name in started:
+            _unknown(initial, variable, index, started.get(variable.name, variable.depends))
 
 
 def _unknown(

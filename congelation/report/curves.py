@@ -17,9 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.report.page import Drawn, swatch
-from congelation.results.figures import first_scale, thin
+from congelation.results.figures import first_scale
 from congelation.results.labels import plain_unit
-from congelation.results.record import Trajectory
+from congelation.results.record import STRETCHES, Trajectory, thin
 from congelation.scenario.metrics import norm
 
 if TYPE_CHECKING:
@@ -42,9 +42,12 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 
 EVERY = -1
-"""In place of a variant's number: a curve that is the same in all of them."""
+"""Stands for a variant's number where a curve is the same in all variants."""
 
 DASHES: tuple[tuple[int, ...], ...] = ((), (8, 3), (2, 3), (10, 3, 2, 3), (5, 2), (14, 4))
+STEPS = "communication step"
+"""Title of the panel of step sizes."""
+
 HEIGHT = 250  # pixels of a panel
 POINTS = 2000  # of a curve; a screen has no more columns
 _ERROR = re.compile(r"^error\((?P<of>.+)\)$")
@@ -82,6 +85,7 @@ class Panel:
     name: str
     title: str
     curves: tuple[Curve, ...]
+    note: str = ""
 
     @property
     def unit(self) -> str:
@@ -130,8 +134,11 @@ def curve_panels(
     With `run_ids` the runs are to be shown one at a time, each by its own curves.
     """
     columns = dict.fromkeys(column for _, run in runs for column in run.columns)
+    groups = panel_groups(tuple(columns), extra)
+    if any(run.steps is not None for _, run in runs):
+        groups[STEPS] = ()
     panels = []
-    for k, (title, members) in enumerate(panel_groups(tuple(columns), extra).items()):
+    for k, (title, members) in enumerate(groups.items()):
         if run_ids:
             found = [
                 replace(curve, run=run_id)
@@ -142,13 +149,30 @@ def curve_panels(
             found = [*_curves(runs, title, members)]
         named = tuple(replace(curve, name=f"c{k}.{i}") for i, curve in enumerate(found))
         if named:
-            panels.append(Panel(f"p{k}", title, named))
+            panels.append(Panel(f"p{k}", title, named, _note(title, [run for _, run in runs])))
     return tuple(panels)
+
+
+def _note(title: str, runs: Sequence[Trajectory]) -> str:
+    """What there is to say of a panel."""
+    steps = [run.steps for run in runs if run.steps is not None]
+    if title != STEPS or all(found.count == len(found.time) for found in steps):
+        return ""
+    most = max(found.count for found in steps)
+    return (
+        f"Each step at its end. Of up to {most} steps, the shortest and the longest of each of "
+        f"{STRETCHES} stretches were kept, and of equal steps the first and the last."
+    )
 
 
 def _curves(
     runs: Sequence[tuple[int, Trajectory]], title: str, members: Sequence[str]
 ) -> Iterator[Curve]:
+    if title == STEPS:
+        for variant, run in runs:
+            if run.steps is not None and len(run.steps.time):
+                yield _curve("step", variant, (), "s", run.steps.time, run.steps.length)
+        return
     if title.startswith("|"):
         for variant, run in runs:
             own = [column for column in members if column in run.columns]
@@ -242,13 +266,16 @@ def draw_panels(
         pieces.append(
             f'<section class="panel"><h3>{escape(pretty(panel.title))}{escape(units)}</h3>'
         )
+        if panel.note:
+            pieces.append(f'<p class="note">{escape(panel.note)}</p>')
         pieces.append(
             Drawn(plot, f"{panel.title} against time; the table beside it has its numbers")
         )
         pieces += ["\n".join(_numbers(panel, variants)), "</section>"]
         mode, threshold = first_scale(
             [(curve.variant, curve.value) for curve in panel.curves],
-            logarithmic=panel.title.startswith("|") or panel.title[:4] in ("esti", "Lyap"),
+            logarithmic=panel.title.startswith("|")
+            or panel.title[:4] in ("esti", "Lyap", STEPS[:4]),
         )
         scales[panel.name] = {"mode": mode, "first": mode, "threshold": threshold}
     return pieces, scales

@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from congelation.report.curves import POINTS, controls, curve_panels, draw_panels
 from congelation.report.diagram import diagram
-from congelation.report.page import Drawn, lines_of, page, pairs, swatch, table
+from congelation.report.page import Drawn, lines_of, opening, page, pairs, swatch, table, tile
 from congelation.report.study import study_content
 from congelation.report.summary import metric_definitions, summarise
 from congelation.report.verdict import run_verdict, study_verdict, tiles
@@ -18,7 +19,7 @@ from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 from congelation.results.store import replace_whole
 
-__all__ = ["write_html"]
+__all__ = ["draw_overlaid", "write_html"]
 
 SHOWN = 8
 """Runs whose trajectories a page shows at once; there are colours for so many."""
@@ -47,29 +48,11 @@ def _run_page(results: Results, study: Study) -> str:
         if results.store.trajectory_file(run.run_id).is_file()
     ]
     variants = [run.variant for run in study.records]
-    # Of more runs than there are colours the first are drawn, and the page says so.
-    drawn = [(variants.index(run.variant), trajectory) for run, trajectory in kept[:SHOWN]]
-    norms = [p for f in study.about["figures"] for p in f["panels"] if str(p).startswith("|")]
-    panels = curve_panels(drawn, tuple(dict.fromkeys(norms)))
-    plots, scales = draw_panels(panels, variants)
+    drawn = [(variants.index(run.variant), trajectory) for run, trajectory in kept]
+    plots, scales = draw_overlaid(drawn, variants, [study])
     peaks = {run.run_id: peak for run, recorded in kept if (peak := _peak_u(recorded)) is not None}
     pieces: list[str | Drawn] = [*_head(study, run_verdict(study, peaks)), *_tiles(study, peaks)]
-    pieces.append("<h2>Trajectories</h2>")
-    if plots:
-        # A curve without a finite value has no points.
-        times = [c.time for panel in panels for c in panel.curves if len(c.time)]
-        start = min((float(t[0]) for t in times), default=0.0)
-        stop = max((float(t[-1]) for t in times), default=start)
-        pieces += controls(variants[:SHOWN], start, stop)
-        pieces += _thinned([recorded for _, recorded in kept])
-        if len(kept) > SHOWN:
-            pieces.append(
-                f'<p class="note">The first {SHOWN} of {len(kept)} runs are drawn; the others are '
-                "in the tables.</p>"
-            )
-        pieces += plots
-    else:
-        pieces.append('<p class="note">No trajectories were kept.</p>')
+    pieces += plots
     pieces += system(study)
     pieces.append("<h2>Metrics</h2>")
     summary = summarise(study)
@@ -79,6 +62,47 @@ def _run_page(results: Results, study: Study) -> str:
     pieces += provenance(study)
     state = {"variants": variants, "scales": scales}
     return page(study.about["title"], [*pieces, "</main>"], state)
+
+
+def draw_overlaid(
+    runs: Sequence[tuple[int, Trajectory]], names: Sequence[str], studies: Sequence[Study]
+) -> tuple[list[str | Drawn], dict[str, dict[str, Any]]]:
+    """The section of trajectories: controls, and the plots of all runs over each other.
+
+    Parameters
+    ----------
+    runs : sequence of (int, Trajectory)
+        Each with the place of its name.
+    names : sequence of str
+        What the curves are called.
+    studies : sequence of Study
+        That the runs are of; norms in their figures have panels, too.
+
+    Returns
+    -------
+    pieces : list
+    scales : dict
+        Of the plots, for the page's script.
+    """
+    # Of more runs than there are colours the first are drawn, and the page says so.
+    norms = [p for s in studies for f in s.about["figures"] for p in f["panels"] if p[:1] == "|"]
+    panels = curve_panels(runs[:SHOWN], tuple(dict.fromkeys(norms)))
+    plots, scales = draw_panels(panels, names)
+    pieces: list[str | Drawn] = ["<h2>Trajectories</h2>"]
+    if not plots:
+        return [*pieces, '<p class="note">No trajectories were kept.</p>'], scales
+    # A curve without a finite value has no points.
+    times = [c.time for panel in panels for c in panel.curves if len(c.time)]
+    start = min((float(t[0]) for t in times), default=0.0)
+    stop = max((float(t[-1]) for t in times), default=start)
+    pieces += controls(names[:SHOWN], start, stop)
+    pieces += _thinned([recorded for _, recorded in runs])
+    if len(runs) > SHOWN:
+        pieces.append(
+            f'<p class="note">The first {SHOWN} of {len(runs)} runs are drawn; the others are '
+            "in the tables.</p>"
+        )
+    return [*pieces, *plots], scales
 
 
 def _study_page(results: Results, study: Study) -> str:
@@ -98,12 +122,7 @@ def _study_page(results: Results, study: Study) -> str:
 
 def _head(study: Study, verdict: Iterator[str]) -> Iterator[str]:
     """Title, verdict and failures: what a reader sees first."""
-    yield '<a class="skip" href="#content">Skip to the content</a><main id="content">'
-    yield f"<h1>{escape(study.about['title'])}</h1>"
-    yield '<div class="verdict">'
-    for sentence in verdict:
-        yield f"<p>{escape(sentence)}</p>"
-    yield "</div>"
+    yield from opening(study.about["title"], verdict)
     for run in study.records[: 0 if study.about["swept"] else None]:
         if run.failed:
             yield f'<p class="failed">{escape(run.variant)}: {escape(run.message)}</p>'
@@ -112,11 +131,7 @@ def _head(study: Study, verdict: Iterator[str]) -> Iterator[str]:
 def _tiles(study: Study, peaks: dict[str, float]) -> Iterator[str]:
     yield '<div class="tiles">'
     for k, (variant, lines) in enumerate(tiles(study, peaks)):
-        yield f'<section class="tile" style="border-color: var(--v{k % 8})">'
-        yield f"<h3>{swatch(k)} {escape(variant)}</h3><dl>"
-        for name, value in lines:
-            yield f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>"
-        yield "</dl></section>"
+        yield from tile(f"{swatch(k)} {escape(variant)}", f"var(--v{k % 8})", lines)
     yield "</div>"
 
 

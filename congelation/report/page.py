@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:  # Bokeh takes half a second, which only commands that write a page wait for
     from bokeh.models import Plot
 
-__all__ = ["Drawn", "lines_of", "page", "pairs", "plain_page", "swatch", "table"]
+__all__ = ["Drawn", "lines_of", "opening", "page", "pairs", "plain_page", "swatch", "table", "tile"]
 
 _HEAD = """<!DOCTYPE html>
 <html lang="en">
@@ -107,18 +107,44 @@ def plain_page(title: str, pieces: Iterable[str]) -> str:
     return "\n".join([f"{_head(title)}</head>\n<body>", *pieces, "</body>\n</html>\n"])
 
 
+def opening(title: str, verdict: Iterable[str]) -> Iterator[str]:
+    """What a reader sees first: the title, and what there is to say in sentences."""
+    yield '<a class="skip" href="#content">Skip to the content</a><main id="content">'
+    yield f"<h1>{escape(title)}</h1>"
+    yield '<div class="verdict">'
+    for sentence in verdict:
+        yield f"<p>{escape(sentence)}</p>"
+    yield "</div>"
+
+
+def tile(heading: str, shade: str, lines: Iterable[tuple[str, str]]) -> Iterator[str]:
+    """A box of names and values under a heading, which is HTML; `shade` is a colour of CSS."""
+    yield f'<section class="tile" style="border-color: {shade}"><h3>{heading}</h3><dl>'
+    for name, value in lines:
+        yield f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>"
+    yield "</dl></section>"
+
+
 def table(
-    columns: Sequence[str], lines: Iterable[tuple[str, Sequence[str]]], caption: str = ""
+    columns: Sequence[str],
+    lines: Iterable[tuple[str, Sequence[str]]],
+    caption: str = "",
+    *,
+    text: bool = False,
 ) -> Iterator[str]:
-    """A table whose lines begin with a heading; it scrolls sideways in a narrow window."""
+    """A table whose lines begin with a heading; it scrolls sideways in a narrow window.
+
+    Its cells are numbers, or `text`, which is not set to the right.
+    """
+    kind = ' class="text"' if text else ""
     about = escape(caption or "table")
     yield f'<div class="scroll" tabindex="0" role="region" aria-label="{about}">'
     yield f"<table>{f'<caption>{escape(caption)}</caption>' if caption else ''}"
-    heads = "".join(f'<th scope="col">{escape(column)}</th>' for column in columns)
+    heads = "".join(f'<th scope="col"{kind}>{escape(column)}</th>' for column in columns)
     yield f"<thead><tr><td></td>{heads}</tr></thead><tbody>"
     for label, cells in lines:
-        numbers = "".join(f"<td>{escape(cell)}</td>" for cell in cells)
-        yield f'<tr><th scope="row">{escape(label)}</th>{numbers}</tr>'
+        entries = "".join(f"<td{kind}>{escape(cell)}</td>" for cell in cells)
+        yield f'<tr><th scope="row">{escape(label)}</th>{entries}</tr>'
     yield "</tbody></table></div>"
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from congelation.report.curves import curve_panels, draw_panels
 from congelation.report.page import Drawn, swatch, table
-from congelation.report.summary import number, summarise
+from congelation.report.summary import label_of, number, summarise
 from congelation.report.verdict import FEW, axes_of, settled
 from congelation.results.record import RunRecord, Study
 from congelation.results.results import Results
@@ -102,7 +102,7 @@ def _data(
             **{name: [run.settings.get(name) for run in runs] for name in axes},
             **{name: [_digits(run.metrics.get(name)) for run in runs] for name in about},
         },
-        "labels": {**{name: _label(study, name) for name in about}, **_short_names(axes)},
+        "labels": {**_labels(study), **_short_names(axes)},
         "never": [name for name, of in about.items() if of["metric"] == "settling_time"],
         "axes": list(axes),
         "metrics": list(about),
@@ -124,9 +124,9 @@ def _short_names(axes: Mapping[str, Any]) -> dict[str, str]:
     return {n: e if ends[e := n.rpartition(".")[2]] == 1 else n for n in axes}
 
 
-def _label(study: Study, name: str) -> str:
-    unit = study.about["metrics"][name]["unit"]
-    return f"{name} [{unit}]" if unit not in ("", "1") else name
+def _labels(study: Study) -> dict[str, str]:
+    """The metrics with their units."""
+    return {name: label_of(name, about) for name, about in study.about["metrics"].items()}
 
 
 def _no_scales() -> dict[str, Any]:
@@ -138,7 +138,7 @@ def _no_scales() -> dict[str, Any]:
 def _counts(
     study: Study, axes: Mapping[str, Sequence[Any]], variants: Sequence[str]
 ) -> Iterator[str]:
-    """Of each axis with few values a table: how many runs settle at each of them, by variant."""
+    """A table for each axis with few values: how many runs settle at each of them, by variant."""
     timed = any(m["metric"] == "settling_time" for m in study.about["metrics"].values())
     done = "settle" if timed else "reach their stop time"
     names = _short_names(axes)
@@ -203,7 +203,7 @@ def _metric_section(
         line = plot.line("x", "median", source=source, line_width=2.5)
         band.tags = line.tags = [f"variant {k}"]
     _points(plot, "metric", len(variants))
-    named = {name: _label(study, name) for name in metrics}
+    named = _labels(study)
     timed = (n for n in metrics if study.about["metrics"][n]["metric"] == "settling_time")
     selects = [
         _select("metric-metric", "Metric", named, next(timed, metrics[0])),
@@ -241,7 +241,7 @@ def _map_section(
     plot.grid.visible = False
     plot.add_tools(HoverTool(tooltips=[("", "@a"), ("", "@b")], limit=1))
     first, second = [*axes][:2]
-    named = {name: _label(study, name) for name in metrics}
+    named = _labels(study)
     timed = (n for n in metrics if study.about["metrics"][n]["metric"] == "settling_time")
     last = str(len(variants) - 1)
     selects = [
@@ -268,7 +268,7 @@ def _pareto_section(
         source = ColumnDataSource(_no_points(), name=f"pareto.line.{k}")
         plot.line("x", "y", source=source, line_width=2.5).tags = [f"variant {k}"]
     _points(plot, "pareto", len(variants))
-    named = {name: _label(study, name) for name in metrics}
+    named = _labels(study)
     kinds = {name: study.about["metrics"][name] for name in metrics}
     timed = (n for n in metrics if kinds[n]["metric"] == "settling_time")
     costs = (n for n in metrics if kinds[n]["of"].rpartition(".")[2] == "u")
@@ -350,7 +350,7 @@ def _table_section(
     yield '<p class="note">The filter holds for the plots, too. A heading sorts, Enter opens.</p>'
     yield '<div class="scroll" tabindex="0" role="region" aria-label="Runs"><table id="runs">'
     yield "<thead><tr>"
-    names = {n: _label(study, n) for n in study.about["metrics"]}
+    names = _labels(study)
     names |= _short_names({n: 0 for n in columns if n not in names})
     for column in columns:
         yield (

@@ -10,10 +10,12 @@ from typing import Any
 import numpy as np
 
 from congelation.errors import InvalidInput, nearest
+from congelation.results.labels import plain_unit
 from congelation.results.record import GROUPS, RunRecord, Study
 
 __all__ = [
     "Summary",
+    "label_of",
     "metric_definitions",
     "number",
     "summarise",
@@ -59,7 +61,7 @@ def summarise_groups(study: Study, by: Sequence[str]) -> Summary:
     for run in sorted(study.records, key=lambda run: [_order(value) for value in key(run)]):
         groups.setdefault(tuple(number(value) for value in key(run)), []).append(run)
     metrics = study.about["metrics"]
-    columns = ["runs", "completed", *(_label(name, about) for name, about in metrics.items())]
+    columns = ["runs", "completed", *(label_of(name, about) for name, about in metrics.items())]
     lines = []
     for label, runs in groups.items():
         completed = sum(run.status == "COMPLETED" for run in runs)
@@ -103,7 +105,7 @@ def _summarise_sweep(study: Study) -> Summary:
     for name, about in study.about["metrics"].items():
         for text, q in _QUANTILES.items():
             cells = [_quantile([r.metrics.get(name) for r in runs], q) for runs in groups.values()]
-            lines.append((f"{_label(name, about)}, {text}", cells))
+            lines.append((f"{label_of(name, about)}, {text}", cells))
     return Summary(tuple(groups), tuple((label, tuple(cells)) for label, cells in lines))
 
 
@@ -116,7 +118,7 @@ def _quantile(values: Sequence[float | None], q: float) -> str:
 def metric_definitions(study: Study) -> tuple[tuple[str, str], ...]:
     """The label of each metric and what it is, with its source."""
     return tuple(
-        (_label(name, about), f"{about['metric']} of {about['of']}: {about['definition']}")
+        (label_of(name, about), f"{about['metric']} of {about['of']}: {about['definition']}")
         for name, about in study.about["metrics"].items()
     )
 
@@ -145,7 +147,7 @@ def _lines(study: Study) -> Iterator[tuple[str, list[str]]]:
     for name in study.about["varied"]:
         yield name, [number(run.settings.get(name)) for run in runs]
     for name, about in study.about["metrics"].items():
-        yield _label(name, about), [number(run.metrics.get(name)) for run in runs]
+        yield label_of(name, about), [number(run.metrics.get(name)) for run in runs]
     yield "macro steps", [number(run.steps) for run in runs]
     yield "wall time [s]", [number(run.wall_time) for run in runs]
     for name in dict.fromkeys(name for run in runs for name in run.deviations):
@@ -155,5 +157,7 @@ def _lines(study: Study) -> Iterator[tuple[str, list[str]]]:
         )
 
 
-def _label(name: str, about: Mapping[str, Any]) -> str:
-    return f"{name} [{about['unit']}]" if about["unit"] else name
+def label_of(name: str, about: Mapping[str, Any]) -> str:
+    """A metric's name with its unit."""
+    unit = plain_unit(about["unit"])
+    return f"{name} [{unit}]" if unit else name

@@ -10,7 +10,7 @@ from typing import Any
 from congelation.report.summary import number
 from congelation.results.record import RunRecord, Study
 
-__all__ = ["FEW", "axes_of", "prices", "run_verdict", "settled", "study_verdict", "tiles"]
+__all__ = ["FEW", "axes_of", "listed", "prices", "run_verdict", "settled", "study_verdict", "tiles"]
 
 
 FEW = 12
@@ -41,20 +41,20 @@ def run_verdict(study: Study, peaks: Mapping[str, float]) -> Iterator[str]:
             told.append(f"{run.variant} settles after {number(run.metrics[name])} s")
         else:
             told.append(f"{run.variant} does not settle")
-    yield f"{_listed(told)}." if told else "No run has finished yet."
+    yield f"{listed(told)}." if told else "No run has finished yet."
     priced = prices(study, study.records, peaks)
     dear = {v: p for v, p in priced.items() if p > 1.0}
     if dear:
         cheapest = min(priced, key=lambda v: priced[v])
         costs = [f"{variant} pays {number(_round(ratio))} times" for variant, ratio in dear.items()]
-        yield f"{_listed(costs)} the peak of |u| of {cheapest}."
+        yield f"{listed(costs)} the peak of |u| of {cheapest}."
     margins = [run for run in study.records if (_margin(study, run) or -1.0) > 0.0]
     if margins:
-        yield f"The Lyapunov certificate is violated for {_listed([r.variant for r in margins])}."
+        yield f"The Lyapunov certificate is violated for {listed([r.variant for r in margins])}."
 
 
 def tiles(study: Study, peaks: Mapping[str, float]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-    """Of each run its variant, and names with values; `peaks` has the peak of \\|u\\| by run_id."""
+    """The variant of each run, and names with values; `peaks` has the peak of \\|u\\| by run_id."""
     name = _named(study, "settling_time")
     priced = prices(study, study.records, peaks)
     for run in study.records:
@@ -140,8 +140,13 @@ def study_verdict(study: Study) -> Iterator[str]:
         if not good:
             yield f"{variant} {done} in none of {len(runs)} runs."
             continue
-        limits = [limit for name in axes if (limit := _limit(study, runs, name, axes[name]))]
-        said = f": {_listed(limits)}" if limits else ""
+        limits = []
+        for name, values in axes.items():
+            own = {run.settings.get(name) for run in runs}  # an axis may be of other variants
+            met = [value for value in values if value in own]
+            if len(met) > 1 and (limit := _limit(study, runs, name, met)):
+                limits.append(limit)
+        said = f": {listed(limits)}" if limits else ""
         yield f"{variant} {done} in {len(good)} of {len(runs)} runs{said}."
     yield from _price_of_study(study, variants)
 
@@ -167,18 +172,31 @@ def _limit(study: Study, runs: Sequence[RunRecord], name: str, values: Sequence[
 def _price_of_study(study: Study, variants: Mapping[str, Sequence[RunRecord]]) -> Iterator[str]:
     """What the first variant pays at equal settings, relative to each other one."""
     first, *others = variants
-    own = set(axes_of(study))
-
-    def point(run: RunRecord) -> tuple[object, ...]:
-        return (run.replicate, *(run.settings.get(name) for name in sorted(own)))
-
-    costs = {point(run): _peak_u(study, run, {}) for run in variants[first]}
+    axes = axes_of(study)
+    own = {
+        variant: {n for n in axes if len({repr(run.settings.get(n)) for run in runs}) > 1}
+        for variant, runs in variants.items()
+    }
     for other in others:
+        # An axis that one of the two has not is no setting to be equal in: its one run is
+        # compared with all of the other's.
+        common = sorted(own[first] & own[other])
+        if len(common) < min(len(own[first]), len(own[other])):
+            continue
+
+        def point(run: RunRecord, names: Sequence[str] = common) -> tuple[object, ...]:
+            return (run.replicate, *(run.settings.get(name) for name in names))
+
+        costs: dict[tuple[object, ...], list[float]] = {}
+        for run in variants[first]:
+            mine = _peak_u(study, run, {})
+            if mine and math.isfinite(mine):
+                costs.setdefault(point(run), []).append(mine)
         ratios = []
         for run in variants[other]:
-            mine, its = costs.get(point(run)), _peak_u(study, run, {})
-            if mine and its and math.isfinite(mine) and math.isfinite(its):
-                ratios.append(mine / its)
+            its = _peak_u(study, run, {})
+            if its and math.isfinite(its):
+                ratios += [mine / its for mine in costs.get(point(run), [])]
         if ratios:
             low, middle, high = (
                 number(_round(r)) for r in (min(ratios), median(ratios), max(ratios))
@@ -211,7 +229,8 @@ def _round(ratio: float) -> float:
     return float(f"{ratio:.3g}")
 
 
-def _listed(texts: Sequence[str]) -> str:
+def listed(texts: Sequence[str]) -> str:
+    """``a, b and c``."""
     if len(texts) < 2:
         return "".join(texts)
     return f"{', '.join(texts[:-1])} and {texts[-1]}"

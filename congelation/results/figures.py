@@ -8,7 +8,6 @@ a group on a logarithmic axis, where a curve's slope is its rate of decay.
 
 from __future__ import annotations
 
-import itertools
 import logging
 import math
 import re
@@ -24,7 +23,7 @@ from congelation.cosim.result import Status
 from congelation.cosim.trust import error_name
 from congelation.errors import InvalidInput, nearest
 from congelation.results.labels import math_label, with_unit
-from congelation.results.record import RunRecord, Study, Trajectory
+from congelation.results.record import RunRecord, Study, Trajectory, thin
 from congelation.results.store import replace_whole
 from congelation.scenario.metrics import norm
 
@@ -32,10 +31,9 @@ if TYPE_CHECKING:  # Matplotlib takes half a second, which only commands that dr
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["FORMATS", "SETTINGS", "WIDTH", "draw", "draw_panels", "first_scale", "save", "thin"]
+__all__ = ["FORMATS", "SETTINGS", "WIDTH", "draw", "draw_panels", "first_scale", "save"]
 
 Array = npt.NDArray[np.float64]
-Places = npt.NDArray[np.intp]
 _Style = Literal["-"] | tuple[float, Sequence[float]]
 
 FORMATS = ("pdf", "png", "svg")
@@ -207,7 +205,7 @@ def _curves(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:
     for run in runs:
         for column in run.trajectory.group(panel):
             values = run.trajectory.select((column,))[:, 0]
-            rows = thin(values)
+            rows = thin(values, _BINS)
             unit = run.trajectory.units.get(column, "")
             label = math_label(column.partition(".")[2])
             band = None
@@ -223,7 +221,7 @@ def _norms(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:
         columns = run.trajectory.group(group)
         if columns:
             size = norm(run.trajectory.select(columns))
-            rows = thin(size)
+            rows = thin(size, _BINS)
             units = {run.trajectory.units.get(column, "") for column in columns}
             unit = units.pop() if len(units) == 1 else ""
             label = f"|{math_label(group.partition('.')[2])}|"
@@ -348,17 +346,3 @@ def _scale(axis: Axes, curves: Sequence[_Curve]) -> None:
 
 def _style(variants: Sequence[str], variant: str) -> _Style:
     return _STYLES[variants.index(variant) % len(_STYLES)]
-
-
-def thin(values: Array, bins: int = _BINS) -> Places:
-    """The rows that can be seen: the first and last, and the extremes of each of some bins."""
-    finite = np.flatnonzero(np.isfinite(values))
-    if len(finite) <= 2 * bins:
-        return finite
-    values = values[finite]
-    edges = np.linspace(0, len(finite), bins + 1).astype(int)
-    keep = {0, len(finite) - 1}
-    for start, stop in itertools.pairwise(edges):
-        keep.add(start + int(np.argmin(values[start:stop])))
-        keep.add(start + int(np.argmax(values[start:stop])))
-    return finite[sorted(keep)]

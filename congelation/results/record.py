@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from typing import Any, final
@@ -11,7 +13,9 @@ import numpy.typing as npt
 
 from congelation.cosim.result import Status
 
-__all__ = ["GROUPS", "Outcome", "RunRecord", "Study", "Trajectory"]
+__all__ = ["GROUPS", "STRETCHES", "Outcome", "RunRecord", "Steps", "Study", "Trajectory", "thin"]
+
+Array = npt.NDArray[np.float64]
 
 Scalar = bool | int | float | str
 
@@ -159,6 +163,59 @@ _COLUMNS = {
 
 
 @dataclass(frozen=True)
+class Steps:
+    """The communication steps of a run: how long each was. Of many steps some are kept.
+
+    Parameters
+    ----------
+    count : int
+        Of all steps.
+    time : numpy.ndarray
+        Shape (N,): when each of the steps that are kept ended, in seconds.
+    length : numpy.ndarray
+        Shape (N,), in seconds: the first, the last, the shortest and the longest of each of
+        `STRETCHES` stretches.
+    """
+
+    count: int
+    time: Array
+    length: Array
+
+    @classmethod
+    def between(cls, points: Array) -> Steps:
+        """The steps from each of some communication points to the next.
+
+        A point at which something jumps may stand there twice.
+        """
+        length = np.diff(points)
+        ends, length = points[1:][length > 0.0], length[length > 0.0]
+        # Equal steps differ by the rounding of the times.
+        equal = len(length) > 0 and np.ptp(length) <= EQUAL * length[0]
+        rows = np.array([0, len(length) - 1]) if equal else thin(length, STRETCHES)
+        return cls(len(length), ends[rows], length[rows])
+
+    def to_json(self) -> str:
+        """As a text; seven digits are enough for a plot."""
+        lists = {
+            name: [float(f"{v:.7g}") for v in getattr(self, name)] for name in ("time", "length")
+        }
+        return json.dumps({"count": self.count, **lists})
+
+    @classmethod
+    def of_json(cls, text: str | bytes) -> Steps:
+        """What `to_json` wrote."""
+        found = json.loads(text)
+        return cls(found["count"], np.array(found["time"]), np.array(found["length"]))
+
+
+STRETCHES = 250
+"""Of which the shortest and the longest step are kept: as many as a plot on a phone shows."""
+
+EQUAL = 1e-6
+"""Steps that differ by less, relative to the first, are of one length."""
+
+
+@dataclass(frozen=True)
 class Trajectory:
     """A recorded run: row k of `values` belongs to ``time[k]``.
 
@@ -172,18 +229,21 @@ class Trajectory:
         Shape (N, M).
     units : mapping
         Unit of each column; a missing or empty one is dimensionless.
+    steps : Steps, optional
+        The communication steps, which the rows do not show where they are on a grid of their own.
     """
 
-    time: npt.NDArray[np.float64]
+    time: Array
     columns: tuple[str, ...]
-    values: npt.NDArray[np.float64]
+    values: Array
     units: Mapping[str, str]
+    steps: Steps | None = None
 
     def group(self, name: str) -> tuple[str, ...]:
         """Columns called `name` or ``name[..]``, in order; ``plant.x`` is all of the vector x."""
         return tuple(c for c in self.columns if c == name or c.startswith(f"{name}["))
 
-    def select(self, columns: Sequence[str]) -> npt.NDArray[np.float64]:
+    def select(self, columns: Sequence[str]) -> Array:
         """The values of some columns, shape (N, len(columns))."""
         return self.values[:, [self.columns.index(c) for c in columns]]
 
@@ -202,3 +262,17 @@ class Study:
 
     records: tuple[RunRecord, ...]
     about: Mapping[str, Any]
+
+
+def thin(values: Array, bins: int) -> npt.NDArray[np.intp]:
+    """The rows that can be seen: the first and last, and the extremes of each of some bins."""
+    finite = np.flatnonzero(np.isfinite(values))
+    if len(finite) <= 2 * bins:
+        return finite
+    values = values[finite]
+    edges = np.linspace(0, len(finite), bins + 1).astype(int)
+    keep = {0, len(finite) - 1}
+    for start, stop in itertools.pairwise(edges):
+        keep.add(start + int(np.argmin(values[start:stop])))
+        keep.add(start + int(np.argmax(values[start:stop])))
+    return finite[sorted(keep)]

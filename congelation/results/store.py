@@ -31,12 +31,12 @@ import pyarrow.parquet as pq
 from congelation.errors import InvalidInput, nearest
 from congelation.places import StoreError, check_folder, replace_whole
 from congelation.results.planned import PlannedRuns
-from congelation.results.record import GROUPS, RunRecord, Trajectory
+from congelation.results.record import GROUPS, RunRecord, Steps, Trajectory
 
 __all__ = ["Store", "StoreError", "replace_whole", "trajectory_bytes"]
 
 
-METADATA = b"congelation"
+METADATA, STEPS = b"congelation", b"steps"
 """Key of Parquet metadata with the description of the study."""
 
 BUSY = 60.0
@@ -325,7 +325,10 @@ class Store:
             for name in columns
         }
         time = table["time"].to_numpy()
-        return Trajectory(time, columns, np.array(values).T.reshape(len(time), len(columns)), units)
+        rows = np.array(values).T.reshape(len(time), len(columns))
+        steps = (table.schema.metadata or {}).get(STEPS)
+        found = None if steps is None else Steps.of_json(steps)
+        return Trajectory(time, columns, rows, units, found)
 
     # -- helpers ------------------------------------------------------------------------------
 
@@ -487,6 +490,7 @@ def trajectory_bytes(trajectory: Trajectory) -> bytes:
     fields = [pa.field(n, pa.float64(), metadata={"unit": units.get(n, "")}) for n in names]
     arrays = [pa.array(values) for values in (trajectory.time, *trajectory.values.T)]
     stream = io.BytesIO()
-    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields))
+    about = None if trajectory.steps is None else {STEPS: trajectory.steps.to_json()}
+    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, about))
     pq.write_table(table, stream, compression="zstd")
     return stream.getvalue()

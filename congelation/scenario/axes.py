@@ -26,7 +26,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -202,6 +202,9 @@ class Sweep:
         Points that do not satisfy all of them are left out.
     replicates : Replicates, optional
         How each point is repeated.
+    variants : tuple of tuple of str
+        Names of the variants that each of `lists`, and then of `axes`, is of; an empty tuple, or
+        one left out at the end: of all. The other variants have no such axis.
     """
 
     lists: tuple[tuple[Settings, ...], ...] = ()
@@ -213,17 +216,52 @@ class Sweep:
     timeout: float | None = None
     constraints: tuple[Constraint, ...] = ()
     replicates: Replicates | None = None
+    variants: tuple[tuple[str, ...], ...] = ()
 
     @property
     def size(self) -> int:
-        """Number of points, before the constraints leave some out."""
+        """Number of points of a variant that has all axes, less none by constraints."""
         return math.prod(len(entries) for entries in self.lists) * max(self.samples, 1)
 
     def names(self) -> tuple[str, ...]:
         """The settings that differ between runs."""
         lists = (name for entries in self.lists for name in entries[0])
         reseeded = self.replicates.reseeded if self.replicates is not None else ()
-        return (*lists, *(axis.name for axis in self.axes), *reseeded)
+        swept = (*lists, *(axis.name for axis in self.axes), *reseeded)
+        return tuple(dict.fromkeys(swept))  # two axes may set the same, for different variants
+
+    def of_variant(self, name: str) -> Sweep:
+        """The sweep of one variant: without the axes that are of others alone.
+
+        Its sample is the same one, without the columns of those axes, so that what is drawn for
+        several variants is equal for all of them. Constraints on settings that it does not sweep
+        do not apply.
+        """
+        mine = [not names or name in names for names in self._variants]
+        if all(mine):
+            return self
+        lists, drawn = mine[: len(self.lists)], mine[len(self.lists) :]
+        axes = tuple(itertools.compress(self.axes, drawn))
+        part = replace(
+            self,
+            lists=tuple(itertools.compress(self.lists, lists)),
+            axes=axes,
+            samples=self.samples if axes else 0,
+            constraints=(),
+            variants=(),
+        )
+        swept = part.names()
+        applied = tuple(c for c in self.constraints if all(name in swept for name in c.names))
+        part = replace(part, constraints=applied)
+        if axes:
+            part.__dict__["_sample"] = self._sample[:, drawn]  # what the property would draw anew
+        return part
+
+    @property
+    def _variants(self) -> tuple[tuple[str, ...], ...]:
+        """`variants`, with an entry for every axis."""
+        number = len(self.lists) + len(self.axes)
+        return (*self.variants, *[()] * (number - len(self.variants)))
 
     def document(self) -> dict[str, object]:
         """The table of a scenario file that says the same.
@@ -233,11 +271,13 @@ class Sweep:
         InvalidInput
             If the settings of a list are not all of the same names.
         """
+        axes = [_list_table(entries, place) for place, entries in enumerate(self.lists)]
+        axes += [{"set": a.name, a.distribution: list(a.parameters)} for a in self.axes]
+        for axis, names in zip(axes, self._variants, strict=False):
+            if names:
+                axis["variants"] = list(names)
         table: dict[str, object] = {
-            "axes": [
-                *(_list_table(entries, place) for place, entries in enumerate(self.lists)),
-                *({"set": a.name, a.distribution: list(a.parameters)} for a in self.axes),
-            ],
+            "axes": axes,
             "sampling": self.sampling,
             "seed": self.seed,
             "trajectories": self.trajectories,

@@ -7,6 +7,7 @@ arithmetic with numbers and names of settings mean anything here; nothing is eve
 from __future__ import annotations
 
 import ast
+import copy
 import operator
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
@@ -76,6 +77,17 @@ class Constraint:
         if not isinstance(self._tree, ast.Compare | ast.BoolOp | ast.UnaryOp):
             raise InvalidInput(f"'{self.text}' compares nothing; give such as 'a.x <= 2 * b.y'")
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The settings that it is of."""
+        return tuple(dict.fromkeys(_names_in(self._tree)))
+
+    def renamed(self, names: Mapping[str, str]) -> Constraint:
+        """The same condition, of settings under other names."""
+        if not any(names.get(name, name) != name for name in self.names):
+            return self
+        return Constraint(ast.unparse(_Renamed(names).visit(copy.deepcopy(self._tree))))
+
     def check_names(self, known: Iterable[str]) -> None:
         """Raise InvalidInput unless all names are among those known."""
         names = list(known)
@@ -129,6 +141,20 @@ def _names_in(node: ast.AST) -> list[str]:
     if isinstance(node, _NAMES):
         return [ast.unparse(node)]
     return [name for child in ast.iter_child_nodes(node) for name in _names_in(child)]
+
+
+class _Renamed(ast.NodeTransformer):
+    """Puts other names in the place of those of settings."""
+
+    def __init__(self, names: Mapping[str, str]) -> None:
+        self._names = names
+
+    def visit(self, node: ast.AST) -> ast.AST:
+        """The node, or the name that takes its place."""
+        if isinstance(node, _NAMES):
+            name = ast.unparse(node)
+            return ast.parse(self._names.get(name, name), mode="eval").body
+        return super().generic_visit(node)
 
 
 def _value(node: ast.AST, settings: Mapping[str, object]) -> Any:

@@ -36,6 +36,8 @@ class SettingsReader:
     ----------
     descriptions : mapping
         The FMUs of the components, by name.
+    starts : mapping
+        The start values of the components before any setting, by name.
     driven : mapping
         Inputs ``component.variable`` that connections drive, and the connection of each.
     experiment : Experiment
@@ -43,6 +45,7 @@ class SettingsReader:
     """
 
     descriptions: Mapping[str, Description]
+    starts: Mapping[str, Mapping[str, object]]
     driven: Mapping[str, str]
     experiment: Experiment
 
@@ -68,6 +71,7 @@ class SettingsReader:
                     changed.without("profile"),
                     changed.section("profile"),
                     self.descriptions[owner],
+                    self.starts[owner],
                 )
                 self.check_free(changed, owner, values)
             flat |= {f"{owner}.{key}": value for key, value in values.items()}
@@ -94,9 +98,14 @@ class SettingsReader:
 
 
 def component_values(
-    start: Section, profile: Section, description: Description
+    start: Section,
+    profile: Section,
+    description: Description,
+    before: Mapping[str, object] | None = None,
 ) -> dict[str, Scalar]:
     """The start values and the profile of a component, one entry for each scalar variable.
+
+    `before` are those that hold where the tables say nothing else.
 
     Raises
     ------
@@ -104,7 +113,7 @@ def component_values(
         An unknown variable, a value of the wrong type or shape, a variable given twice.
     """
     values = _start_values(start, description)
-    terms = _profile_values(profile, description)
+    terms = _profile_values(profile, description, before or {})
     for twice in sorted(values.keys() & terms.keys()):
         raise start.error(twice, "is given by the profile as well; leave one of them out")
     return values | terms
@@ -126,8 +135,13 @@ def _start_values(section: Section, description: Description) -> dict[str, Scala
     return {s.variable.name: s.value for s in found}
 
 
-def _profile_values(section: Section, description: Description) -> dict[str, Scalar]:
+def _profile_values(
+    section: Section, description: Description, before: Mapping[str, object]
+) -> dict[str, Scalar]:
     """The profiles theta[j](t) of a table, as the FMU's parameters ``profile[j].*``.
+
+    A key is a component of theta, ``theta[1]``, with all its terms, or one number of a term:
+    ``theta[1].sine[2].omega``. Where there is one sine, ``theta[1].sine.omega`` is of it.
 
     Raises
     ------
@@ -137,14 +151,25 @@ def _profile_values(section: Section, description: Description) -> dict[str, Sca
     folder = str(Path(section.file).absolute().parent)
     values: dict[str, Scalar] = {}
     for key, spec in section.data.items():
-        prefix = _profile_prefix(section, key, description)
+        component, prefix = _profile_prefix(section, key, description)
         offered = [n.removeprefix(prefix) for n in description.variables if n.startswith(prefix)]
-        try:
-            profile = Profile.from_spec(spec, section.place(key), folder)
-        except ProfileError as error:  # its text begins with the place
-            raise InvalidInput(str(error)) from error
-        flat = section.attempt(key, partial(profile.to_flat, _slots(offered)))
-        values |= {prefix + name: value for name, value in flat.items()}
+        if key == component:
+            try:
+                profile = Profile.from_spec(spec, section.place(key), folder)
+            except ProfileError as error:  # its text begins with the place
+                raise InvalidInput(str(error)) from error
+            flat = section.attempt(key, partial(profile.to_flat, _slots(offered)))
+            found = {prefix + name: value for name, value in flat.items()}
+        else:
+            sizes = [name for name in offered if _TERM_SLOT.fullmatch(name)]
+            terms = [name.partition(".")[0] for name in sizes if before.get(prefix + name)]
+            variable = prefix + _term_parameter(section, key, component, offered, terms)
+            at = {variable: section.at(key)}
+            named = replace(section, path=section.at(key), data={variable: spec}, elsewhere=at)
+            found = _start_values(named, description)
+        for twice in sorted(values.keys() & found.keys()):
+            raise section.error(key, f"gives '{twice}' a second time; leave one of them out")
+        values |= found
     return values
 
 
@@ -188,8 +213,9 @@ def _converted(quantity: Section, to: Conversion) -> object:
     return convert(quantity.data["value"])
 
 
-def _profile_prefix(section: Section, key: str, description: Description) -> str:
-    """What the FMU's names of the profile parameters of ``theta[j]``, or of a signal, begin with.
+def _profile_prefix(section: Section, key: str, description: Description) -> tuple[str, str]:
+    """The component of theta, or the signal, that a key is of, and what the names of its
+    profile parameters begin with.
 
     The description of a profile's mean says what the profile is of.
     """
@@ -201,9 +227,30 @@ def _profile_prefix(section: Section, key: str, description: Description) -> str
             components[component] = name.removesuffix("mean")
     if not components:
         raise section.error(key, f"has no place: {description.path.name} takes no profile")
-    if key not in components:
-        raise section.error(key, f"is no parameter with a profile; {nearest(key, components)}")
-    return components[key]
+    for component, prefix in components.items():
+        if key == component or key.startswith(f"{component}."):
+            return component, prefix
+    raise section.error(key, f"is no parameter with a profile; {nearest(key, components)}")
+
+
+def _term_parameter(
+    section: Section, key: str, component: str, offered: Iterable[str], terms: Iterable[str]
+) -> str:
+    """The profile parameter, such as ``sine[1].omega``, that ``theta[1].sine.omega`` means.
+
+    `terms` are those that the profile has, such as ``sine[1]``.
+    """
+    asked = key.removeprefix(f"{component}.")
+    kind, _, rest = asked.partition(".")
+    names = [*offered]
+    for name in ("mean" if asked == "constant" else asked, f"{kind}[1].{rest}"):
+        if name in names:
+            alike = [f"{term}.{rest}" for term in terms if term.startswith(f"{kind}[")]
+            if name != asked and len(alike) > 1:
+                raise section.error(key, f"is one of {len(alike)}; give {' or '.join(alike)}")
+            return name
+    known = ["constant", *names, *(name.replace("[1].", ".") for name in names)]
+    raise section.error(key, f"is no part of this profile; {nearest(asked, known)}")
 
 
 def _slots(offered: Iterable[str]) -> Slots:
@@ -222,7 +269,7 @@ def _slots(offered: Iterable[str]) -> Slots:
 
 
 def _by_owner(section: Section) -> Section:
-    """`section` with its keys ``owner.key`` and ``owner.profile.theta[j]`` as nested tables."""
+    """`section` with its keys ``owner.key`` and ``owner.profile.theta[j]..`` as nested tables."""
     grouped: dict[str, dict[str, object]] = {}
     profiles: dict[str, dict[str, object]] = {}
     for name, value in section.data.items():

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
 from congelation import keys
+from congelation.errors import nearest
 from congelation.scenario.axes import DISTRIBUTIONS, RandomAxis, Replicates, Sweep
 from congelation.scenario.constraint import Constraint
 from congelation.scenario.parts import EXPERIMENT, Settings
@@ -19,8 +20,8 @@ from congelation.toml import Section
 __all__ = ["read_sweep"]
 
 
-def read_sweep(section: Section, reader: SettingsReader) -> Sweep:
-    """The sweep that a table describes.
+def read_sweep(section: Section, reader: SettingsReader, variants: Sequence[str]) -> Sweep:
+    """The sweep that a table describes, of a scenario with some variants.
 
     Raises
     ------
@@ -28,36 +29,49 @@ def read_sweep(section: Section, reader: SettingsReader) -> Sweep:
         Naming the key and what would be valid.
     """
     read = section.read(keys.SWEEP)
-    lists: list[tuple[Settings, ...]] = []
-    axes: list[RandomAxis] = []
-    taken: dict[str, str] = {}
+    lists: list[tuple[tuple[Settings, ...], tuple[str, ...]]] = []
+    axes: list[tuple[RandomAxis, tuple[str, ...]]] = []
+    taken: dict[str, dict[str, str]] = {}  # of a setting: the axis that sets it, by variant
+    spelled: dict[str, str] = {}
     for axis in read["axes"]:
         found = _axis(axis, reader)
+        only = _variants(axis, variants)
         names = [found.name] if isinstance(found, RandomAxis) else list(found[0])
         place = axis.spelled(axis.path)
         for name in names:
-            if name in taken:
-                raise axis.error("set", f"sets '{name}', which {taken[name]} sets already")
-            taken[name] = place
+            for variant in only or variants:
+                other = taken.setdefault(name, {}).setdefault(variant, place)
+                if other != place:
+                    raise axis.error("set", f"sets '{name}', which {other} sets already")
+        given = axis.value(keys.AXIS["set"])
+        if len(given) == len(names):
+            spelled |= dict(zip(given, names, strict=True))
         if isinstance(found, RandomAxis):
-            axes.append(found)
+            axes.append((found, only))
         else:
-            lists.append(found)
+            lists.append((found, only))
     if not taken and read["replicates"] is None:
         raise section.error("axes", "is missing; give at least one [[sweep.axes]]")
+    set_by = {name: next(iter(places.values())) for name, places in taken.items()}
     sweep = Sweep(
-        lists=tuple(lists),
-        axes=tuple(axes),
+        lists=tuple(found for found, _ in lists),
+        axes=tuple(found for found, _ in axes),
         sampling=read["sampling"],
         samples=_samples(section, read["samples"], bool(axes), read["sampling"]),
         seed=read["seed"],
         trajectories=read["trajectories"],
-        constraints=tuple(_constraints(section, read["constraints"], taken)),
+        constraints=tuple(_constraints(section, read["constraints"], set_by, spelled)),
         timeout=read["timeout"],
-        replicates=_replicates(section, read["replicates"], read["reseed"], taken, reader),
+        replicates=_replicates(section, read["replicates"], read["reseed"], set_by, reader),
+        variants=tuple(only for _, only in (*lists, *axes)),
     )
+    parts = [sweep.of_variant(variant) for variant in variants]
+    for constraint in sweep.constraints:
+        if not any(constraint in part.constraints for part in parts):
+            text = f"'{constraint.text}' is of settings that no variant has together"
+            raise section.error("constraints", text)
     repeated = sweep.replicates.count if sweep.replicates is not None else 1
-    if sweep.size * repeated > keys.MOST_RUNS:
+    if max(part.size for part in parts) * repeated > keys.MOST_RUNS:
         raise section.error(
             "",
             f"has more than {keys.MOST_RUNS} runs of each variant; split it over several scenarios",
@@ -93,11 +107,27 @@ def _replicates(
     return Replicates(count, tuple(reseeded))
 
 
+def _variants(axis: Section, known: Sequence[str]) -> tuple[str, ...]:
+    """The variants that an axis is of; none where it is of all."""
+    if "variants" not in axis.data:
+        return ()
+    names = axis.texts("variants")
+    if not names:
+        raise axis.error("variants", "is empty; name the variants that the axis is of")
+    for name in names:
+        if name not in known:
+            raise axis.error("variants", f"= '{name}' is no variant; {nearest(name, known)}")
+        if names.count(name) > 1:
+            raise axis.error("variants", f"has '{name}' twice; leave one of them out")
+    return names
+
+
 def _constraints(
-    section: Section, texts: Iterable[str], swept: Iterable[str]
+    section: Section, texts: Iterable[str], swept: Iterable[str], spelled: Mapping[str, str]
 ) -> Iterator[Constraint]:
+    """The constraints, of the settings' full names; `spelled` are those that axes give."""
     for text in texts:
-        constraint = section.attempt("constraints", partial(Constraint, text))
+        constraint = section.attempt("constraints", partial(Constraint, text)).renamed(spelled)
         section.attempt("constraints", partial(constraint.check_names, swept))
         yield constraint
 
@@ -117,9 +147,10 @@ def _samples(section: Section, samples: int | None, needed: bool, sampling: str)
 
 def _axis(section: Section, reader: SettingsReader) -> RandomAxis | tuple[Settings, ...]:
     read = section.read(keys.AXIS)
-    kinds = [key for key in section.data if key != "set"]
+    others = ("set", "variants")
+    kinds = [key for key in section.data if key not in others]
     if len(kinds) != 1:
-        known = ", ".join(keys.AXIS.names[1:])
+        known = ", ".join(key for key in keys.AXIS.names if key not in others)
         raise section.error("set", f"needs one of: {known}")
     if kinds == ["values"]:
         return _list(section, read["set"], read["values"], reader)

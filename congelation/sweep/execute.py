@@ -16,7 +16,7 @@ from congelation.fmi.calls import CALLS
 from congelation.fmi.description import describe
 from congelation.fmi.library import KEPT
 from congelation.results.identity import NUMERICS_VERSION
-from congelation.results.record import Outcome, Trajectory
+from congelation.results.record import Outcome, Steps, Trajectory
 from congelation.results.store import Store, trajectory_bytes
 from congelation.scenario.parts import Settings
 from congelation.scenario.scenario import Case, Scenario
@@ -169,9 +169,9 @@ def _simulated(
         from congelation.verify.reference import compare, reference
 
         expected = reference(replace(case, experiment=experiment))
-    # Metrics are of every communication point, whatever rows are kept.
-    output, points = experiment.output, Points(scenario.measured)
-    apart = output is not None and bool(scenario.metrics)
+    # Metrics and step sizes are of every communication point, whatever rows are kept.
+    output, points = experiment.output, Points(scenario.measured if scenario.metrics else ())
+    apart = output is not None and bool(scenario.metrics or job.trajectories)
     outputs = [output, Output(sink=points)] if output is not None and apart else None
     if job.trust is False:
         result = perform(case.system, experiment, output=outputs, progress=progress, pool=pool)
@@ -186,7 +186,9 @@ def _simulated(
             pool=pool,
         )
     CALLS.clear()  # what ends the process from here on is no FMU
-    kept = Trajectory(result.time, result.names, result.values, _units(case, result.names))
+    steps = Steps.between(points.times() if apart else result.time) if job.trajectories else None
+    units = _units(case, result.names)
+    kept = Trajectory(result.time, result.names, result.values, units, steps)
     if not result.whole:  # a metric of half a run would pass for one of a whole run
         return _outcome(result), kept
     measured_case = replace(case, experiment=experiment)

@@ -106,7 +106,7 @@ class Plan:
             seed=_sweep(self.scenario).seed if self.job.swept else None,
             code_version=code_version(),
             numerics_version=NUMERICS_VERSION,
-            **{**asdict(outcome), "metrics": {**none, **outcome.metrics}},
+            **{**vars(outcome), "metrics": {**none, **outcome.metrics}},
         )
 
 
@@ -235,20 +235,22 @@ def _sweep(scenario: Scenario) -> Sweep:
 
 
 class _Runs:
-    """The runs of a study by number: every variant at every repetition of every point.
+    """The runs of a study by number: every variant at every repetition of every point it has.
 
-    Points that break a constraint have numbers, too, which no run has.
+    The numbers are those of the variant with most points; the others have no runs with numbers
+    of points beyond their own, and no run has the number of a point that breaks a constraint.
     """
 
     def __init__(self, scenario: Scenario, swept: bool) -> None:
         self._scenario = scenario
         self._sweep = _sweep(scenario) if swept else Sweep()
+        self._sweeps = [self._sweep.of_variant(variant.name) for variant in scenario.variants]
         self._repetitions = tuple(self._sweep.repetitions())
 
     def __getitem__(self, number: int) -> _Run:
         rest, variant = divmod(number, len(self._scenario.variants))
         place, repetition = divmod(rest, len(self._repetitions))
-        return self._run(self._sweep.point(place), repetition, variant)
+        return self._run(self._sweeps[variant].point(place), repetition, variant)
 
     def _run(self, point: Settings, repetition: int, variant: int) -> _Run:
         changed = self._scenario.variants[variant]
@@ -258,22 +260,31 @@ class _Runs:
     def checked(self) -> Iterator[tuple[int, _Run]]:
         """Number and run of each, the settings checked against the experiment."""
         check = _Check(self._scenario, self._sweep)
-        repetitions, variants = range(len(self._repetitions)), range(len(self._scenario.variants))
-        each = len(repetitions) * len(variants)
-        for place in range(self._sweep.size):
-            point = self._sweep.point(place)
-            try:
-                if not self._sweep.holds(point):
-                    continue
-            except InvalidInput as error:
-                place_of = f"{self._scenario.place}: sweep.constraints"
-                raise InvalidInput(f"{place_of}: {error}") from error
+        variants = range(len(self._sweeps))
+        each = len(self._repetitions) * len(variants)
+        # Most variants have the same sweep, whose points are computed once.
+        different = {id(sweep): sweep for sweep in self._sweeps}
+        for place in range(max(sweep.size for sweep in self._sweeps)):
+            points = {key: self._point(sweep, place) for key, sweep in different.items()}
             for number, (repetition, variant) in enumerate(
-                itertools.product(repetitions, variants), place * each
+                itertools.product(range(len(self._repetitions)), variants), place * each
             ):
-                run = self._run(point, repetition, variant)
-                check(run[1])
-                yield number, run
+                point = points[id(self._sweeps[variant])]
+                if point is not None:
+                    run = self._run(point, repetition, variant)
+                    check(run[1])
+                    yield number, run
+
+    def _point(self, sweep: Sweep, place: int) -> Settings | None:
+        """A point of a sweep; None where there is none, or a constraint leaves it out."""
+        if place >= sweep.size:
+            return None
+        point = sweep.point(place)
+        try:
+            return point if sweep.holds(point) else None
+        except InvalidInput as error:
+            place_of = f"{self._scenario.place}: sweep.constraints"
+            raise InvalidInput(f"{place_of}: {error}") from error
 
 
 class _Check:

@@ -57,6 +57,10 @@ class Points(Sink):
         """Nothing is left to do."""
         self._kept.abandon()
 
+    def times(self) -> Floats:
+        """When the points were, shape (N,)."""
+        return self._kept.rows()[:, 0]
+
     def with_rows(self, kept: Trajectory) -> Trajectory:
         """The points, and between them the rows that are kept.
 

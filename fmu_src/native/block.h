@@ -12,10 +12,16 @@
 #include <stdint.h>
 
 #include "fmi2Functions.h"
+#include "names.h"
+
+/* Only the functions of FMI are seen from outside, whatever the compiler was asked for. */
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility push(hidden)
+#endif
 
 /* -- a model, generated ----------------------------------------------------------------------- */
 
-enum role { INPUT, CONSTANT, OUTPUT, DERIVATIVE, GAIN, THETA, NEXT_EVENT };
+enum role { INPUT, CONSTANT, OUTPUT, DERIVATIVE, GAIN, THETA, NEXT_EVENT, RATE };
 enum domain { REAL, POSITIVE, NONNEGATIVE, POSITIVE_DEFINITE, BOOLEAN, SIGN };
 
 /* `index` counts within the role; of a constant it is the place in the array of constants. */
@@ -45,7 +51,7 @@ struct profile_slots {
     int noises, noise;         /* deviation, sample_time, seed */
 };
 
-extern const char MODEL_NAME[], MODEL_GUID[];
+extern const char MODEL_GUID[];
 extern const unsigned char MODEL_KEY[32]; /* of serialised states */
 extern const int VARIABLE_COUNT, STATES, INPUTS, OUTPUTS, DERIVATIVES, GAINS, PROFILES;
 extern const int CONSTANTS, PARAMETERS;
@@ -54,6 +60,7 @@ extern const struct variable VARIABLES[];
 extern const struct parameter MODEL_PARAMETERS[];
 extern const int START_CONSTANTS[];       /* of the states */
 extern const int OUTPUT_OF_DERIVATIVE[];  /* outputs whose time derivatives the FMU knows */
+extern const fmi2ValueReference STATE_REFERENCES[];
 extern const struct profile_slots PROFILE_SLOTS[];
 extern const size_t BOUND_SIZE;
 
@@ -68,6 +75,11 @@ void model_outputs(const void *bound, const double *x, const double *v, const do
                    double *result);
 void model_derivatives(const void *bound, const double *x, const double *v, const double *d,
                        const double *theta, double *result);
+/* Derivatives of rates, outputs and derivatives of outputs, one behind the other, in the direction
+   of seeds of x, v, d and theta. */
+void model_tangents(const void *bound, const double *x, const double *v, const double *d,
+                    const double *theta, const double *x_seed, const double *v_seed,
+                    const double *d_seed, const double *theta_seed, double *result);
 
 /* What the equations are written with; as Python's functions, the first of equal operands. */
 static inline double lesser(double a, double b) { return b < a ? b : a; }
@@ -129,10 +141,15 @@ double profile_derivative(const struct profile *profile, double t);
 
 /* -- an instance ------------------------------------------------------------------------------ */
 
-enum mode { INSTANTIATED, INITIALIZATION, STEPPING, TERMINATED };
+/* Of model exchange: EVENT and CONTINUOUS in place of STEPPING. */
+enum mode { INSTANTIATED, INITIALIZATION, STEPPING, EVENT, CONTINUOUS, TERMINATED };
 
-/* The complete state is one array of doubles: these, then x, the inputs and the constants. */
-enum scalar { MODE, TIME, HAS_STOP, STOP_TIME, TOLERANCE, INNER_STEP, SINCE, SCALARS };
+/* The complete state is one array of doubles: these, then x, the inputs and the constants. KIND is
+   fmi2Type. EVENT_TIME is where model exchange last looked for the smooth piece of the profiles,
+   which holds until it does so again: solvers evaluate at the very end of a piece, and behind it. */
+enum scalar {
+    MODE, TIME, HAS_STOP, STOP_TIME, TOLERANCE, INNER_STEP, SINCE, KIND, EVENT_TIME, SCALARS
+};
 
 struct instance {
     const fmi2CallbackFunctions *callbacks;
@@ -147,10 +164,10 @@ struct instance {
     struct profile *profiles;
     struct smooth smooth;
     /* what follows from the state */
-    bool outputs_known, derivatives_known;
-    double *outputs, *derivatives;
+    bool outputs_known, derivatives_known, rates_known;
+    double *outputs, *derivatives, *rates;
     /* work: rates of the stages, points, values of inputs and theta */
-    double *k, *y, *point, *v, *slopes, *theta, *cubics, *old_x;
+    double *k, *y, *point, *v, *slopes, *theta, *cubics, *old_x, *seeds, *tangents;
     struct reason parameter_fault;
 };
 
@@ -160,8 +177,15 @@ static inline size_t state_length(void)
            + (TIMED ? 0u : (size_t)PROFILES) + (size_t)CONSTANTS;
 }
 
+static inline enum mode mode_of(const struct instance *in) { return (enum mode)in->state[MODE]; }
+static inline bool exchanges(const struct instance *in)
+{
+    return in->state[KIND] == (double)fmi2ModelExchange;
+}
+
 /* log.c */
 void report(const struct instance *instance, fmi2Status status, const char *format, ...);
+fmi2Status illegal(const struct instance *instance, const char *function);
 void explain(struct reason *why, const char *format, ...);
 const char *repr_of(double value, char text[32]);
 
@@ -172,10 +196,22 @@ bool settle(struct instance *instance);
 bool theta_at(struct instance *instance, double t, struct reason *why);
 void theta_values(struct instance *instance, double t);
 void input_cubics(struct instance *instance);
+bool values_now(struct instance *instance, bool slopes, struct reason *why);
 bool computed_value(struct instance *instance, const struct variable *variable, double *value);
+bool computed_rates(struct instance *instance);
 void forget_computed(struct instance *instance);
 
 /* integrator.c: x from t over h; false, with x and the inner step undone by the caller. */
 bool advance(struct instance *instance, double t, double h, struct reason *why);
+
+/* state.c: the complete state as bytes, the same on every machine */
+size_t serialized_size(void);
+void serialize(const double *state, unsigned char *bytes);
+/* NULL, or what is wrong with the bytes. */
+const char *deserialize(const unsigned char *bytes, size_t size, double *state);
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility pop
+#endif
 
 #endif

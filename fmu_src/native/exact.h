@@ -9,6 +9,12 @@
 #include <stdbool.h>
 #include <stdint.h>
 
+#include "names.h"
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility push(hidden) /* as in block.h */
+#endif
+
 enum { LIMBS = 18 };
 
 /* sign sum_i limb_i 2^(32 (exponent - 1 - i)), the first limb not 0; sign 0: zero. */
@@ -25,5 +31,9 @@ exact exact_add(const exact *a, const exact *b);
 exact exact_subtract(const exact *a, const exact *b);
 exact exact_multiply(const exact *a, const exact *b);
 exact exact_divide(const exact *a, const exact *b);
+
+#if defined(__GNUC__) && !defined(_WIN32)
+#pragma GCC visibility pop
+#endif
 
 #endif

@@ -1,4 +1,5 @@
-/* The functions of FMI 2.0 co-simulation, and the state machine behind them.
+/* The functions that FMI 2.0 has for both kinds and for co-simulation, and the state machine behind
+   them; those of model exchange are in exchange.c.
 
    A refused call returns fmi2Error, with its reason logged, and changes nothing. A step that
    cannot be taken returns fmi2Discard and leaves the states where they were. */
@@ -8,7 +9,6 @@
 #include <string.h>
 
 #include "block.h"
-#include "state.h"
 
 /* Relative tolerance of the internal integration where fmi2SetupExperiment gives none. */
 #define DEFAULT_TOLERANCE 1e-8
@@ -16,17 +16,6 @@
 #define TIME_ROUNDING 1e-9
 /* First internal step tried, in seconds; the step control takes it from there. */
 #define FIRST_STEP 1e-3
-
-static const char *const WHEN[] = {"before fmi2EnterInitializationMode", "in initialization mode",
-                                   "after initialization", "after fmi2Terminate"};
-
-static int mode_of(const struct instance *in) { return (int)in->state[MODE]; }
-
-static fmi2Status illegal(const struct instance *in, const char *function)
-{
-    report(in, fmi2Error, "%s was called %s", function, WHEN[mode_of(in)]);
-    return fmi2Error;
-}
 
 static fmi2Status unsupported(const struct instance *in, const char *what)
 {
@@ -41,7 +30,9 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 
 static void set_defaults(struct instance *in)
 {
+    double kind = in->state[KIND];
     memset(in->state, 0, state_length() * sizeof(double));
+    in->state[KIND] = kind;
     in->state[TOLERANCE] = DEFAULT_TOLERANCE;
     in->state[INNER_STEP] = FIRST_STEP;
     for (int vr = 0; vr < VARIABLE_COUNT; vr++)
@@ -79,6 +70,7 @@ static size_t share_out(struct instance *in, char *memory)
     TAKE(in->bound, double, BOUND_SIZE / sizeof(double) + 1);
     TAKE(in->outputs, double, OUTPUTS);
     TAKE(in->derivatives, double, DERIVATIVES);
+    TAKE(in->rates, double, STATES);
     TAKE(in->k, double, 7 * STATES);
     TAKE(in->y, double, STATES);
     TAKE(in->point, double, STATES);
@@ -87,6 +79,8 @@ static size_t share_out(struct instance *in, char *memory)
     TAKE(in->slopes, double, INPUTS);
     TAKE(in->theta, double, 2 * PROFILES + 1);
     TAKE(in->cubics, double, 4 * INPUTS);
+    TAKE(in->seeds, double, STATES + 2 * INPUTS + 2 * PROFILES + 1);
+    TAKE(in->tangents, double, STATES + OUTPUTS + DERIVATIVES);
     TAKE(in->profiles, struct profile, PROFILES);
     for (int j = 0; j < PROFILES; j++) {
         const struct profile_slots *slots = PROFILE_SLOTS + j;
@@ -106,7 +100,9 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     (void)resources; /* nothing is read from there, so any form of URI will do */
     (void)visible;
     if (!functions || !functions->logger) return NULL;
+    double kind[SCALARS] = {0.0};
     struct instance asking = {0};
+    asking.state = kind;
     asking.callbacks = functions;
     asking.name = (char *)(name && *name ? name : "(no name)");
     if (!name || !*name) {
@@ -120,8 +116,9 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
                guid ? guid : "missing", MODEL_GUID);
         return NULL;
     }
-    if (type != fmi2CoSimulation) {
-        unsupported(&asking, "fmi2Instantiate: this FMU is for co-simulation, not model exchange");
+    if (type != fmi2CoSimulation && type != fmi2ModelExchange) {
+        unsupported(&asking, "fmi2Instantiate: the type is neither fmi2CoSimulation nor "
+                             "fmi2ModelExchange");
         return NULL;
     }
     char *memory = calloc(1, share_out(&asking, NULL));
@@ -137,6 +134,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     in->name = strcpy(copy, name);
     in->logging = logging != fmi2False;
     share_out(in, memory);
+    in->state[KIND] = type;
     set_defaults(in);
     return in;
 }
@@ -190,7 +188,7 @@ fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean has_tolerance, fmi2R
                repr_of(tolerance, text));
         return fmi2Error;
     }
-    in->state[TIME] = start;
+    in->state[TIME] = in->state[EVENT_TIME] = start;
     in->state[HAS_STOP] = has_stop ? 1.0 : 0.0;
     in->state[STOP_TIME] = has_stop ? stop : 0.0;
     in->state[TOLERANCE] = has_tolerance ? tolerance : DEFAULT_TOLERANCE;
@@ -211,14 +209,14 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
     struct instance *in = c;
     if (mode_of(in) != INITIALIZATION) return illegal(in, "fmi2ExitInitializationMode");
     if (!in->settled && !settle(in)) return unsupported(in, in->parameter_fault.text);
-    in->state[MODE] = STEPPING;
+    in->state[MODE] = exchanges(in) ? EVENT : STEPPING;
     return fmi2OK;
 }
 
 fmi2Status fmi2Terminate(fmi2Component c)
 {
     struct instance *in = c;
-    if (mode_of(in) != STEPPING) return illegal(in, "fmi2Terminate");
+    if (mode_of(in) < STEPPING || mode_of(in) == TERMINATED) return illegal(in, "fmi2Terminate");
     in->state[MODE] = TERMINATED;
     return fmi2OK;
 }
@@ -302,8 +300,9 @@ static const struct variable *settable(const struct instance *in, fmi2ValueRefer
         return NULL;
     }
     if (mode_of(in) > INITIALIZATION) {
-        report(in, fmi2Error, "%s is fixed and cannot be set %s; reset the instance first",
-               VARIABLES[vr].name, WHEN[mode_of(in)]);
+        report(in, fmi2Error, "%s is fixed and cannot be set after initialization; reset the "
+               "instance first",
+               VARIABLES[vr].name);
         return NULL;
     }
     return VARIABLES + vr;
@@ -449,12 +448,72 @@ fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReferenc
     return fmi2OK;
 }
 
+/* The seed of a known variable; NULL, with the reason logged, where the derivatives with respect to
+   it are not known. `none` is for those that no equation takes at a communication point. */
+static double *seed_of(const struct instance *in, fmi2ValueReference vr, double *none)
+{
+    double *x = in->seeds, *v = x + STATES, *d = v + INPUTS, *theta = d + INPUTS;
+    const struct variable *variable = of_type(in, vr, 'R');
+    if (!variable) return NULL;
+    for (int i = 0; i < STATES; i++)
+        if (STATE_REFERENCES[i] == vr
+            || (variable->role == CONSTANT && mode_of(in) == INITIALIZATION
+                && START_CONSTANTS[i] == variable->index))
+            return x + i;
+    if (variable->role == INPUT) {
+        int slot = variable->index;
+        return slot < INPUTS       ? v + slot
+               : slot < 2 * INPUTS ? d + (slot - INPUTS)
+               : slot < 4 * INPUTS ? none
+                                   : theta + (slot - 4 * INPUTS);
+    }
+    report(in, fmi2Error,
+           "derivatives with respect to %s are not known; valid: inputs, continuous states, and in "
+           "initialization mode the start values of these",
+           variable->name);
+    return NULL;
+}
+
+/* Forward derivatives of the expression graphs, at what the instance was last set to. */
 fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReference unknown[],
                                         size_t unknowns, const fmi2ValueReference known[],
                                         size_t knowns, const fmi2Real seed[], fmi2Real value[])
 {
-    (void)unknown, (void)unknowns, (void)known, (void)knowns, (void)seed, (void)value;
-    return unsupported(c, "fmi2GetDirectionalDerivative is not provided by this FMU");
+    struct instance *in = c;
+    struct reason why;
+    if (mode_of(in) == INSTANTIATED) return illegal(in, "fmi2GetDirectionalDerivative");
+    if (!in->settled && !settle(in)) return unsupported(in, in->parameter_fault.text);
+    if (!values_now(in, true, &why)) return unsupported(in, why.text);
+    double *x = in->seeds, *v = x + STATES, *d = v + INPUTS, *theta = d + INPUTS, none;
+    memset(x, 0, (size_t)(STATES + 2 * INPUTS + 2 * PROFILES + 1) * sizeof(double));
+    for (size_t i = 0; i < knowns; i++) {
+        double *place = seed_of(in, known[i], &none);
+        if (!place) return fmi2Error;
+        *place = seed[i];
+    }
+    double *rates = in->tangents, *outputs = rates + STATES, *derivatives = outputs + OUTPUTS;
+    model_tangents(in->bound, in->x, in->v, in->slopes, in->theta, x, v, d, theta, in->tangents);
+    for (size_t i = 0; i < unknowns; i++) {
+        const struct variable *variable = of_type(in, unknown[i], 'R');
+        if (!variable) return fmi2Error;
+        switch (variable->role) {
+        case RATE: value[i] = rates[variable->index]; break;
+        case OUTPUT: value[i] = outputs[variable->index]; break;
+        case DERIVATIVE: value[i] = derivatives[variable->index]; break;
+        case THETA: value[i] = TIMED ? 0.0 : theta[variable->index]; break;
+        case GAIN:
+        case NEXT_EVENT: value[i] = 0.0; break; /* these follow from parameters and time */
+        default:
+            report(in, fmi2Error, "%s is set from outside: it has no derivatives", variable->name);
+            return fmi2Error;
+        }
+        if (!isfinite(value[i])) {
+            report(in, fmi2Error, "the derivative of %s is not finite at t = %.9g", variable->name,
+                   in->state[TIME]);
+            return fmi2Error;
+        }
+    }
+    return fmi2OK;
 }
 
 /* -- stepping --------------------------------------------------------------------------------- */
@@ -560,6 +619,9 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
     struct instance *in = c;
     const double *given = state, *constants;
     if (!state) return unsupported(in, "fmi2SetFMUstate: the state is NULL");
+    if (given[KIND] != in->state[KIND])
+        return unsupported(in, "fmi2SetFMUstate: the state is one of the other kind, co-simulation "
+                               "or model exchange");
     constants = given + (in->constants - in->state);
     bool same = in->settled
                 && memcmp(constants, in->constants, (size_t)CONSTANTS * sizeof(double)) == 0;

@@ -40,6 +40,19 @@ void report(const struct instance *instance, fmi2Status status, const char *form
                                 categories[status], whole);
 }
 
+fmi2Status illegal(const struct instance *in, const char *function)
+{
+    static const char *const when[] = {"before fmi2EnterInitializationMode",
+                                       "in initialization mode",
+                                       "after initialization",
+                                       "in event mode",
+                                       "in continuous-time mode",
+                                       "after fmi2Terminate"};
+    report(in, fmi2Error, "%s was called %s of %s", function, when[mode_of(in)],
+           exchanges(in) ? "a model exchange" : "a co-simulation");
+    return fmi2Error;
+}
+
 /* The shortest decimal that reads back as `value`, in the form of Python's repr. */
 const char *repr_of(double value, char text[32])
 {

@@ -4,7 +4,6 @@
 #include <string.h>
 
 #include "block.h"
-#include "state.h"
 
 enum { FORMAT = 8, KEY = 32, CHECK = 8, HEAD = FORMAT + KEY + CHECK, NUMBER = 8 };
 static const unsigned char MAGIC[FORMAT] = {'c', 'g', 'l', 'n', 'a', 't', 'v', '1'};
@@ -48,8 +47,10 @@ static bool is_possible(const double *s)
 {
     for (size_t i = 0; i < state_length(); i++)
         if (!isfinite(s[i])) return false;
-    return (s[MODE] == INSTANTIATED || s[MODE] == INITIALIZATION || s[MODE] == STEPPING
-            || s[MODE] == TERMINATED)
+    bool exchanges = s[KIND] == (double)fmi2ModelExchange;
+    return (exchanges || s[KIND] == (double)fmi2CoSimulation)
+           && (s[MODE] == INSTANTIATED || s[MODE] == INITIALIZATION || s[MODE] == TERMINATED
+               || (exchanges ? s[MODE] == EVENT || s[MODE] == CONTINUOUS : s[MODE] == STEPPING))
            && (s[HAS_STOP] == 0.0 || s[HAS_STOP] == 1.0) && 0.0 < s[TOLERANCE]
            && s[TOLERANCE] < 1.0 && s[INNER_STEP] > 0.0 && s[SINCE] >= 0.0;
 }

@@ -6,7 +6,7 @@
 
 void forget_computed(struct instance *in)
 {
-    in->outputs_known = in->derivatives_known = false;
+    in->outputs_known = in->derivatives_known = in->rates_known = false;
 }
 
 /* Find the smooth piece of all profiles at t. */
@@ -50,9 +50,13 @@ void input_cubics(struct instance *in)
     }
 }
 
+/* Whether all values of a role are finite; those that are not are reported. */
 static bool are_finite(struct instance *in, enum role role, const double *values, int count)
 {
     bool finite = true;
+    double total = 0.0;
+    for (int i = 0; i < count; i++) total += values[i] - values[i];
+    if (total == 0.0) return true;
     for (int vr = 0; vr < VARIABLE_COUNT; vr++) {
         const struct variable *variable = VARIABLES + vr;
         if (variable->role != role || variable->index >= count
@@ -70,35 +74,50 @@ static bool are_finite(struct instance *in, enum role role, const double *values
     return finite;
 }
 
-static bool evaluate(struct instance *in, enum role role)
+/* theta, the inputs and, on demand, slopes of both at the instance's time: what the equations take.
+   Inputs of model exchange are values at all times, so that SINCE is 0. */
+bool values_now(struct instance *in, bool slopes, struct reason *why)
 {
-    struct reason why;
     double t = in->state[TIME], s = in->state[SINCE];
     if (PROFILES) {
-        if (!theta_at(in, t, &why)) {
-            report(in, fmi2Error, "the outputs cannot be evaluated at t = %.9g: %s", t, why.text);
-            return false;
-        }
+        if (!theta_at(in, exchanges(in) ? in->state[EVENT_TIME] : t, why)) return false;
         theta_values(in, t);
-        for (int j = 0; TIMED && j < PROFILES; j++)
+        for (int j = 0; TIMED && slopes && j < PROFILES; j++)
             in->theta[PROFILES + 1 + j] = profile_derivative(in->profiles + j, t);
     }
-    if (role == THETA || role == NEXT_EVENT) return true;
-    input_cubics(in);
+    if (s != 0.0) input_cubics(in);
     for (int i = 0; i < INPUTS; i++) {
         const double *c = in->cubics + 4 * i;
         in->v[i] = s == 0.0 ? in->inputs[i] : c[0] + s * (c[1] + s * (c[2] + s * c[3]));
-        in->slopes[i] = c[1] + s * (2.0 * c[2] + s * 3.0 * c[3]);
+        in->slopes[i] =
+            s == 0.0 ? in->inputs[INPUTS + i] : c[1] + s * (2.0 * c[2] + s * 3.0 * c[3]);
     }
-    if (role == OUTPUT) {
-        model_outputs(in->bound, in->x, in->v, in->theta, in->outputs);
-        in->outputs_known = are_finite(in, OUTPUT, in->outputs, OUTPUTS);
-        return in->outputs_known;
-    }
-    model_derivatives(in->bound, in->x, in->v, in->slopes, in->theta, in->derivatives);
-    in->derivatives_known = are_finite(in, DERIVATIVE, in->derivatives, DERIVATIVES);
-    return in->derivatives_known;
+    return true;
 }
+
+static bool evaluate(struct instance *in, enum role role)
+{
+    struct reason why;
+    if (!values_now(in, role == DERIVATIVE, &why)) {
+        report(in, fmi2Error, "the outputs cannot be evaluated at t = %.9g: %s", in->state[TIME],
+               why.text);
+        return false;
+    }
+    switch (role) {
+    case OUTPUT:
+        model_outputs(in->bound, in->x, in->v, in->theta, in->outputs);
+        return in->outputs_known = are_finite(in, OUTPUT, in->outputs, OUTPUTS);
+    case DERIVATIVE:
+        model_derivatives(in->bound, in->x, in->v, in->slopes, in->theta, in->derivatives);
+        return in->derivatives_known = are_finite(in, DERIVATIVE, in->derivatives, DERIVATIVES);
+    case RATE:
+        model_rates(in->bound, in->x, in->v, in->theta, in->rates);
+        return in->rates_known = are_finite(in, RATE, in->rates, STATES);
+    default: return true;
+    }
+}
+
+bool computed_rates(struct instance *in) { return in->rates_known || evaluate(in, RATE); }
 
 /* The value of a Real variable; false where it cannot be computed, which is then logged. */
 bool computed_value(struct instance *in, const struct variable *variable, double *value)
@@ -121,6 +140,10 @@ bool computed_value(struct instance *in, const struct variable *variable, double
     case DERIVATIVE:
         if (!in->derivatives_known && !evaluate(in, DERIVATIVE)) return false;
         *value = in->derivatives[i];
+        return true;
+    case RATE:
+        if (!computed_rates(in)) return false;
+        *value = in->rates[i];
         return true;
     case GAIN: *value = in->gains[i]; return true;
     default:

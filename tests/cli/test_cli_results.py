@@ -49,11 +49,38 @@ def test_ls_and_show_as_json(out: Path) -> None:
     assert Path(shown["trajectory"]).is_file()
 
 
+@pytest.mark.parametrize("interval", [None, 0.05])
+def test_step_sizes_are_kept_whatever_rows_are(tmp_path: Path, interval: float | None) -> None:
+    """By a tolerance the master chooses steps; the rows are on a grid of their own, or not."""
+    own = "" if interval is None else f"\noutput_interval = {interval}"
+    chosen = f'coupling = "hermite"\ntolerance = 1e-5{own}'
+    found = run(write(tmp_path, SCALAR, ("step = 0.01", chosen)), out=tmp_path / "out")
+    for row in found.runs:
+        steps = found.trajectory(row.run_id).steps
+        assert steps is not None
+        assert steps.count == row.steps
+        assert steps.time[-1] == pytest.approx(1.0)
+        assert steps.length.sum() == pytest.approx(1.0)  # so few that all are kept
+
+
 def test_run_as_json(tmp_path: Path) -> None:
     done = congelation("run", write(tmp_path), "--out", tmp_path / "out", "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert [row["status"] for row in found] == ["COMPLETED"] * 2
+
+
+def test_directories_are_compared(out: Path, tmp_path: Path) -> None:
+    other = results(tmp_path / "other", [(record("r1", 1), trajectory(1.0))]).folder
+    done = congelation("report", out, other)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == str(other / "comparison.html")
+    assert "other against out: 1 run can be compared; 1 have no counterpart" in done.stdout
+    assert "Controller 2: only in out" in done.stderr
+    assert (other / "comparison.html").read_text("utf-8").startswith("<!DOCTYPE html>")
+    line = one_line(congelation("report", out, other, "--pareto", "peak_x"), 2)
+    assert line == "congelation: --pareto is for one result directory; give DIR alone"
+    assert "is given twice" in one_line(congelation("report", out, out), 2)
 
 
 def test_a_front_of_no_run_is_one_line(tmp_path: Path) -> None:

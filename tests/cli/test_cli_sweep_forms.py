@@ -38,6 +38,35 @@ def test_a_pilot_that_cannot_begin_does_not_hinder_the_sweep(tmp_path: Path) -> 
     assert "judging by" in done.stdout or "no estimate: " in done.stdout
 
 
+def test_an_axis_of_one_variant_leaves_the_other_a_run(tmp_path: Path) -> None:
+    axis = '[sweep]\n[[sweep.axes]]\nset = "controller.gamma"\nvalues = [0.5, 1.0, 2.0]\n'
+    file = write(tmp_path, SCALAR + axis + 'variants = ["Controller 2"]\n')
+    out = tmp_path / "out"
+    done = sweep(file, out)
+    assert done.returncode == 0, done.stderr
+    assert "4 runs, 4 of them to do" in done.stdout
+    found = {(row["variant"], row["set.controller.gamma"]) for row in rows(out)}
+    assert found == {("Controller 1", None), *(("Controller 2", g) for g in (0.5, 1.0, 2.0))}
+    assert "4 runs, 0 of them to do" in sweep(file, out, "--resume").stdout
+    alone = tmp_path / "alone"
+    assert congelation("run", write(tmp_path), "--out", alone).returncode == 0
+    (own,) = (row for row in rows(alone) if row["variant"] == "Controller 1")
+    (same,) = (row for row in rows(out) if row["variant"] == "Controller 1")
+    assert same["metric.peak_x"] == own["metric.peak_x"]
+
+    listed = congelation("ls", out).stdout.splitlines()
+    (line,) = (line for line in listed if " Controller 1 " in line)
+    assert " – " in line
+    by = congelation("report", out, "--by", "controller.gamma").stdout.splitlines()
+    labels = [line.split()[:2] for line in by if line and line.split()[0] in ("0.5", "1", "2", "–")]
+    assert labels == [["0.5", "1"], ["1", "1"], ["2", "1"], ["–", "1"]]
+    report = congelation("report", out)
+    assert report.returncode == 0, report.stderr
+    page = (out / "report.html").read_text()
+    assert "Controller 1 pays with a peak" not in page  # no metric of u
+    assert "none up to gamma" not in page
+
+
 def test_progress_as_lines_of_json_or_none(tmp_path: Path) -> None:
     file = write(tmp_path, SCALAR + SWEEP)
     done = sweep(file, tmp_path / "json", "--progress", "json")

@@ -19,7 +19,7 @@ import typer
 from mutant import swap
 from typer.testing import CliRunner
 
-from congelation.conformance.command import check
+from congelation.cli.check import check
 
 APP = typer.Typer()
 APP.command()(check)

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import fmpy
 from fmpy.fmi2 import (
+    FMU2Model,
     FMU2Slave,
     fmi2CallbackAllocateMemoryTYPE,
     fmi2CallbackFreeMemoryTYPE,
@@ -27,7 +28,7 @@ DISCARD, ERROR = 2, 3
 class Instance:
     """One instance, its variables by name, and what it logged as (status, text)."""
 
-    slave: FMU2Slave
+    slave: FMU2Slave | FMU2Model
     references: dict[str, int]
     types: dict[str, str]
     inputs: list[str]
@@ -69,8 +70,8 @@ class Instance:
 
 
 @contextmanager
-def loaded(path: Path, count: int = 1) -> Iterator[Sequence[Instance]]:
-    """Instances of the FMU at `path`."""
+def loaded(path: Path, count: int = 1, exchange: bool = False) -> Iterator[Sequence[Instance]]:
+    """Instances of the FMU at `path`, for co-simulation or model exchange."""
     folder = _extracted(path, path.stat().st_mtime_ns)
     description = fmpy.read_model_description(str(path))
     variables = description.modelVariables
@@ -78,7 +79,7 @@ def loaded(path: Path, count: int = 1) -> Iterator[Sequence[Instance]]:
     callbacks = []
     try:
         for number in range(count):
-            slave = FMU2Slave(
+            slave = (FMU2Model if exchange else FMU2Slave)(
                 guid=description.guid,
                 unzipDirectory=folder,
                 modelIdentifier=description.coSimulation.modelIdentifier,
@@ -95,8 +96,9 @@ def loaded(path: Path, count: int = 1) -> Iterator[Sequence[Instance]]:
             callbacks.append(functions)
             slave.instantiate(callbacks=functions, loggingOn=True)
             # fmpy's wrapper raises for a discarded step; the tests look at the status instead.
-            slave.fmi2DoStep = slave.dll.fmi2DoStep
-            slave.fmi2DoStep.argtypes = _STEP_TYPES
+            if not exchange:
+                slave.fmi2DoStep = slave.dll.fmi2DoStep
+                slave.fmi2DoStep.argtypes = _STEP_TYPES
             made.append(instance)
         yield made
     finally:

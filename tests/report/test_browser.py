@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from congelation.report.comparison import write_comparison
 from congelation.report.html import write_html
 from tests.report.browser import WIDTHS, chromium, fits, keep, needs_browser, opened
-from tests.report.stored import stored, stored_study
+from tests.report.stored import record, results, stored, stored_study, trajectory
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
@@ -43,6 +44,16 @@ def study_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("study")
     file = folder / "report.html"
     write_html(stored_study(folder), file)
+    return file
+
+
+@pytest.fixture(scope="module")
+def comparison_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("comparison")
+    entries = [(record("r1", 1), trajectory(900.0)), (record("r2", 2), trajectory(1.0))]
+    new = results(folder / "new", entries, scenario='title = "Other"\n')
+    file = folder / "comparison.html"
+    write_comparison([stored(folder / "old"), new], file)
     return file
 
 
@@ -115,6 +126,32 @@ def test_dark_mode_and_print(browser: Browser, run_page: Path, tmp_path: Path) -
         )
         page.pdf(path=tmp_path / "run.pdf", format="A4")
         assert (tmp_path / "run.pdf").read_bytes().startswith(b"%PDF")
+
+
+@pytest.mark.parametrize("width", WIDTHS)
+def test_nothing_of_a_comparison_is_cut(
+    browser: Browser, comparison_page: Path, width: int
+) -> None:
+    with opened(browser, comparison_page, width, "dark" if width == WIDTHS[0] else "light") as page:
+        assert fits(page)
+        keep(page, f"comparison-{width}")
+
+
+def test_a_comparison_overlays_its_directories(browser: Browser, comparison_page: Path) -> None:
+    """u was 1000 exp(-t) and is 900 exp(-t); each directory's curves can be hidden."""
+    with opened(browser, comparison_page) as page:
+        page.get_by_label("Cursor").fill("0")
+        row = page.locator("section", has_text="controller.u").locator("tbody tr")
+        assert [float(cell) for cell in row.locator("td[data-curve]").all_text_contents()] == [
+            1000.0,
+            900.0,
+            1.0,
+            1.0,
+        ]
+        page.get_by_label("Controller 1, old").uncheck()
+        shown = row.locator("small").all_text_contents()
+        assert shown == [f"Controller {k}, {name}" for k in (1, 2) for name in ("old", "new")]
+        assert row.locator("small:visible").count() == 3
 
 
 @pytest.mark.parametrize("width", WIDTHS)

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from congelation.report.curves import EVERY, curve_panels, panel_groups
-from congelation.results.record import Trajectory
+import numpy as np
+import pytest
+
+from congelation.report.curves import EVERY, STEPS, curve_panels, panel_groups
+from congelation.results.record import Steps, Trajectory
 from tests.report.stored import trajectory
 
 
@@ -44,3 +47,16 @@ def test_a_variable_without_finite_values_is_no_error() -> None:
     (panel,) = curve_panels([(0, run)])
     assert len(panel.curves[0].time) == 0
     assert np.all(np.isnan(panel.curves[0].numbers))
+
+
+def test_step_sizes_have_a_panel_of_their_own() -> None:
+    points = np.cumsum(np.linspace(1e-3, 2e-3, 4000))
+    chosen = replace(trajectory(1.0), steps=Steps.between(points))
+    fixed = replace(trajectory(2.0), steps=Steps.between(np.arange(11) * 1e-3))
+    panel = {p.title: p for p in curve_panels([(0, chosen), (1, fixed)])}[STEPS]
+    assert panel.unit == "s"
+    assert [curve.variant for curve in panel.curves] == [0, 1]
+    assert panel.curves[0].numbers[1:3] == (points[1] - points[0], points[-1] - points[-2])
+    assert panel.curves[1].value == pytest.approx([0.001, 0.001])
+    assert panel.note.startswith("Each step at its end. Of up to 3999 steps, ")
+    assert STEPS not in {p.title for p in curve_panels([(0, trajectory(1.0))])}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from congelation.errors import CongelationError, InvalidInput
 from congelation.report.html import write_html
+from congelation.report.verdict import study_verdict
 from congelation.results.results import Results
 from tests.report.stored import stored, stored_failures, stored_study
 
@@ -93,6 +95,20 @@ def test_places_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(CongelationError, match=r"report\.html cannot be written"):
         write_html(store, tmp_path / "file" / "report.html")
+
+
+def test_a_variant_without_an_axis_is_compared_with_all_runs_of_the_other(tmp_path: Path) -> None:
+    both = stored_study(tmp_path / "both", kept=0).study()
+    one, *_ = (run for run in both.records if run.variant == "Controller 1")
+    others = [run for run in both.records if run.variant == "Controller 2"]
+    one = replace(one, settings={"plant.omega": None, "plant.a": one.settings["plant.a"]})
+    said = list(study_verdict(replace(both, records=(one, *others))))
+    # u peaks at 50 and, over the runs of the other that came to their end, at 1 and 2.
+    assert said[-1] == (
+        "Controller 1 pays with a peak of |u| that is 50 times that of Controller 2 "
+        "(median at equal settings; 25 to 50)."
+    )
+    assert said[0] == "Controller 1 settles in all 1 runs."
 
 
 def test_a_study_says_where_it_fails_and_what_it_costs(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ import pytest
 
 from congelation.errors import CongelationError, InvalidInput
 from congelation.results.identity import code_version, content_hash, file_hash
-from congelation.results.record import RunRecord, Trajectory
+from congelation.results.record import STRETCHES, RunRecord, Steps, Trajectory
 from congelation.results.results import Results, open_results
 from congelation.results.store import Store, StoreError, replace_whole, trajectory_bytes
 from tests.studies import until
@@ -102,6 +103,7 @@ def test_trajectories_are_plain_parquet_and_come_back(store: Store) -> None:
     assert table.column_names == ["time", "plant.x[1]", "plant.x[2]", "plant.xi"]
     assert table.schema.field("time").metadata == {b"unit": b"s"}
     read = store.trajectory("a")
+    assert read.steps is None
     assert read.columns == trajectory().columns
     assert read.units == {"plant.x[1]": "m", "plant.x[2]": "", "plant.xi": ""}
     assert np.array_equal(read.time, trajectory().time)
@@ -300,3 +302,34 @@ def test_the_database_can_be_read_where_nothing_can_be_written(store: Store) -> 
     assert [file.name for file in store.root.glob("runs.*")] == ["runs.sqlite"]
     with sqlite3.connect(f"file:{store.database}?immutable=1", uri=True) as connection:
         assert connection.execute("SELECT count(*) FROM runs").fetchall() == [(1,)]
+
+
+def test_steps_are_kept_with_the_trajectory(store: Store) -> None:
+    """A jump stands twice among the points and is no step."""
+    steps = Steps.between(np.array([0.0, 0.5, 0.75, 0.75, 1.0]))
+    assert steps.count == 3
+    assert steps.time.tolist() == [0.5, 0.75, 1.0]
+    assert steps.length.tolist() == [0.5, 0.25, 0.25]
+    store.write_trajectory("a", trajectory_bytes(replace(trajectory(), steps=steps)))
+    read = store.trajectory("a").steps
+    assert read is not None
+    assert (read.count, read.time.tolist(), read.length.tolist()) == (
+        3,
+        [0.5, 0.75, 1.0],
+        [0.5, 0.25, 0.25],
+    )
+
+
+def test_of_many_steps_extremes_are_kept_and_of_equal_ones_the_ends() -> None:
+    lengths = np.random.default_rng(1).uniform(0.5, 1.0, 5000)
+    lengths[1234], lengths[4321] = 0.01, 7.0
+    steps = Steps.between(np.concatenate([[0.0], np.cumsum(lengths)]))
+    assert steps.count == 5000
+    assert len(steps.time) <= 2 * STRETCHES + 2
+    assert (steps.length.min(), steps.length.max()) == pytest.approx((0.01, 7.0))
+    assert steps.time[-1] == pytest.approx(lengths.sum())
+    equal = Steps.between(np.arange(0, 10001) * 1e-3)
+    assert equal.count == 10000
+    assert equal.time.tolist() == [0.001, 10.0]
+    nothing = Steps.between(np.array([0.0]))
+    assert (nothing.count, len(nothing.length)) == (0, 0)

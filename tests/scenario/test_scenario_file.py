@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from congelation.cosim.system import Component
 from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
-from congelation.scenario.scenario import Case, Scenario
+from congelation.scenario.scenario import Case, Scenario, Variant
 from congelation.signals import Profile, Sine, Square, profile
 from tests.scenarios import FMUS, ROOT, SCALAR, SHIPPED, write
 
@@ -88,6 +89,125 @@ def test_variants_change_what_they_name_and_nothing_else(tmp_path: Path) -> None
     assert component(second, "controller").start["k_bar"] == 7.0
     assert component(second, "controller").start["epsilon"] == 0.3
     assert second.experiment.stop_time == 1.0
+
+
+OMEGA = "plant.profile[1].sine[1].omega"
+
+SPELLINGS = {
+    "plant.profile[1].sine[1].omega": OMEGA,
+    "plant.profile.theta[1].sine[1].omega": OMEGA,
+    "plant.profile.theta[1].sine.omega": OMEGA,
+    "plant.profile.theta[1].sine[2].omega": "plant.profile[1].sine[2].omega",
+    "plant.profile.theta[1].square.phase": "plant.profile[1].square[1].phase",
+    "plant.profile.theta[1].constant": "plant.profile[1].mean",
+    "plant.profile.theta[1].mean": "plant.profile[1].mean",
+}
+
+
+@pytest.mark.parametrize(("spelled", "name"), SPELLINGS.items())
+def test_a_number_of_a_profile_is_spelled_alike_everywhere(
+    tmp_path: Path, spelled: str, name: str
+) -> None:
+    sweep = f"""
+        [sweep]
+        constraints = ["{spelled} < 6"]
+        [[sweep.axes]]
+        set = "{spelled}"
+        values = [4.0, 5.0, 6.0]
+        """
+    changed = f'{{"controller.damping" = true, "{spelled}" = 4.0}}'
+    old = '{"controller.damping" = true}'
+    scenario = load_scenario(write(tmp_path, SCALAR + sweep, (old, changed)))
+    assert scenario.variants[0].settings == {"controller.damping": True, name: 4.0}
+    assert scenario.sweep is not None
+    assert list(scenario.sweep.points()) == [{name: 4.0}, {name: 5.0}]
+    random = sweep.replace("values = [4.0, 5.0, 6.0]", "uniform = [4.0, 5.0]")
+    random = random.replace("[sweep]", "[sweep]\nsamples = 1")
+    drawn = load_scenario(write(tmp_path, SCALAR + random)).sweep
+    assert drawn is not None
+    assert [list(point) for point in drawn.points()] == [[name]]
+    settings = {spelled: 4.0}
+    composed = replace(scenario, variants=(Variant("one", settings),), sweep=None)
+    assert composed.variants[0].settings == {name: 4.0}
+
+
+MISSPELT = {
+    "unknown component": (
+        "plant.profile.theta[2].sine.omega",
+        "4.0",
+        "plant.profile.theta[2].sine.omega is no parameter with a profile; did you mean",
+    ),
+    "unknown term": (
+        "plant.profile.theta[1].sinus.omega",
+        "4.0",
+        "plant.profile.theta[1].sinus.omega is no part of this profile; did you mean 'sine.omega'?",
+    ),
+    "unknown number": (
+        "plant.profile.theta[1].sine.omga",
+        "4.0",
+        "plant.profile.theta[1].sine.omga is no part of this profile; did you mean 'sine.omega'?",
+    ),
+    "more terms than fit": (
+        "plant.profile.theta[1].sine[3].omega",
+        "4.0",
+        "plant.profile.theta[1].sine[3].omega is no part of this profile; did you mean 'sine[",
+    ),
+    "no number": (
+        "plant.profile.theta[1].sine.omega",
+        '"fast"',
+        "plant.profile.theta[1].sine.omega, start value 'profile[1].sine[1].omega': 'fast' given",
+    ),
+    "another unit": (
+        "plant.profile.theta[1].sine.omega",
+        '{value = 4.0, unit = "K"}',
+        "unit = 'K' is not the unit of 'profile[1].sine[1].omega'",
+    ),
+    "one of two": (
+        "plant.profile.theta[1].square.period",
+        "4.0",
+        "plant.profile.theta[1].square.period is one of 2; give square[1].period or square[2]",
+    ),
+    "a table for a term": (
+        "plant.profile.theta[1].sine",
+        "{omega = 4.0}",
+        "plant.profile.theta[1].sine is no part of this profile; did you mean",
+    ),
+}
+
+
+@pytest.mark.parametrize(("spelled", "value", "message"), MISSPELT.values(), ids=MISSPELT)
+def test_a_number_of_no_profile_is_refused_alike_everywhere(
+    tmp_path: Path, spelled: str, value: str, message: str
+) -> None:
+    two = (
+        "{square = {amplitude = 0.4, period = 0.3}}",
+        "{square = {amplitude = 0.4, period = 0.3}}, {square = {amplitude = 0.1, period = 1.0}}",
+    )
+    changed = f'{{"controller.damping" = true, "{spelled}" = {value}}}'
+    axis = f'\n[sweep]\n[[sweep.axes]]\nset = "{spelled}"\nvalues = [{value}]\n'
+    told = []
+    for text, changes in (
+        (SCALAR, [two, ('{"controller.damping" = true}', changed)]),
+        (SCALAR + axis, [two]),
+    ):
+        with pytest.raises(InvalidInput) as refused:
+            load_scenario(write(tmp_path, text, *changes))
+        told.append(str(refused.value))
+    places = (": variants[1].set.", ": sweep.axes[1].values[1].")
+    assert all(place in line and message in line for place, line in zip(places, told, strict=True))
+    assert told[0].partition(places[0])[2] == told[1].partition(places[1])[2]
+
+
+def test_a_whole_profile_and_a_number_of_it_exclude_each_other(tmp_path: Path) -> None:
+    both = '{"plant.profile.theta[1]" = 1.0, "plant.profile.theta[1].sine.omega" = 4.0}'
+    with pytest.raises(InvalidInput, match=r"omega gives 'profile\[1\].sine\[1\].omega' a second"):
+        load_scenario(write(tmp_path, SCALAR, ('{"controller.damping" = true}', both)))
+    whole = '\n[sweep]\n[[sweep.axes]]\nset = "plant.profile.theta[1]"\nvalues = [-3.0, [{sine = {'
+    sweep = load_scenario(write(tmp_path, SCALAR + whole + "amplitude = 1, omega = 2}}]]\n")).sweep
+    assert sweep is not None
+    sines = [p["plant.profile[1].sine[1].amplitude"] for p in sweep.points()]
+    assert sines == [0.0, 1.0]
+    assert [p["plant.profile[1].mean"] for p in sweep.points()] == [-3.0, 0.0]
 
 
 def test_times_and_start_values_may_state_their_units(tmp_path: Path) -> None:

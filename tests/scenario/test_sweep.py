@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 from scipy import stats
 
 from congelation.errors import InvalidInput
+from congelation.results.record import Outcome
 from congelation.scenario.axes import DISTRIBUTIONS, SAMPLINGS, RandomAxis, Sweep
 from congelation.scenario.load import load_scenario
 from congelation.sweep.plan import plan_study
@@ -80,6 +82,123 @@ def test_values_may_be_spaced(tmp_path: Path, axis: str, expected: list[float]) 
             found = [point[name] for point in points]
             assert found == pytest.approx(expected, rel=1e-14)
             assert (found[0], found[-1]) == (expected[0], expected[-1])
+
+
+ONLY = """
+[sweep]
+sampling = "latin_hypercube"
+samples = 3
+constraints = ["plant.profile.theta[1].square.amplitude < 0.45", "controller.gamma < 3"]
+
+[[sweep.axes]]
+set = "plant.profile.theta[1].square.amplitude"
+uniform = [0.1, 0.4]
+
+[[sweep.axes]]
+set = "controller.k_bar"
+uniform = [1, 2]
+variants = ["Controller 2"]
+
+[[sweep.axes]]
+set = "controller.gamma"
+values = [1, 2, 3]
+variants = ["Controller 2"]
+
+[[sweep.axes]]
+set = "controller.gamma"
+values = [0.5, 0.7]
+variants = ["Controller 1"]
+"""
+
+
+def test_an_axis_may_be_of_some_variants(tmp_path: Path) -> None:
+    third = SCALAR + '\n[[variants]]\nname = "neither"\n'
+    scenario = load_scenario(write(tmp_path, third + ONLY))
+    plan = plan_study(scenario, tmp_path / "out", swept=True, write=False)
+    runs: dict[str, list[dict[str, object]]] = {v.name: [] for v in scenario.variants}
+    numbers = []
+    for task in plan.tasks():
+        numbers.append(task.number)
+        runs[task.variant].append(dict(task.settings))
+    # Of `neither` there is one run for each draw; the others differ in a gain as well.
+    assert {name: len(found) for name, found in runs.items()} == {
+        "Controller 1": 6,
+        "Controller 2": 6,
+        "neither": 3,
+    }
+    assert plan.total == 15
+    assert numbers == sorted(set(numbers))
+    again = {task.number: (task.variant, task.run_id) for task in plan.tasks()}
+    assert {n: (t.variant, t.run_id) for n in numbers for t in plan.tasks([n])} == again
+    amplitude = "plant.profile[1].square[1].amplitude"
+    drawn = [{run[amplitude] for run in found} for found in runs.values()]
+    assert drawn[0] == drawn[1] == drawn[2]
+    assert len(drawn[0]) == 3
+    assert {run["controller.gamma"] for run in runs["Controller 2"]} == {1.0, 2.0}
+    assert {run["controller.gamma"] for run in runs["Controller 1"]} == {0.5, 0.7}
+    assert all(1.0 <= float(str(run["controller.k_bar"])) <= 2.0 for run in runs["Controller 2"])
+    for other in ("Controller 1", "neither"):
+        assert not any("controller.k_bar" in run for run in runs[other])
+    record = plan.record(next(t for t in plan.tasks() if t.variant == "neither"), Outcome("ERROR"))
+    assert record.settings["controller.k_bar"] == 0.5  # the scenario's
+    assert record.settings["controller.gamma"] is None  # left to the FMU
+    assert scenario.sweep is not None
+    composed = replace(scenario, file=None, text="").sweep  # read again, from its own document
+    assert composed is not None
+    assert composed.document() == scenario.sweep.document()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            'variants = ["Controller 1"]',
+            'variants = ["Controller 3"]',
+            "sweep.axes[4].variants = 'Controller 3' is no variant; did you mean 'Controller",
+        ),
+        ('variants = ["Controller 1"]', "variants = []", "sweep.axes[4].variants is empty; name"),
+        (
+            'variants = ["Controller 1"]',
+            'variants = ["Controller 1", "Controller 1"]',
+            "sweep.axes[4].variants has 'Controller 1' twice; leave one of them out",
+        ),
+        (
+            'variants = ["Controller 1"]',
+            'variants = "Controller 1"',
+            "sweep.axes[4].variants = 'Controller 1' is not valid; give an array of strings",
+        ),
+        (
+            'variants = ["Controller 1"]',
+            'variants = ["Controller 1", "Controller 2"]',
+            "sweep.axes[4].set sets 'controller.gamma', which sweep.axes[3] sets already",
+        ),
+        (
+            'set = "controller.gamma"\nvalues = [0.5, 0.7]\nvariants = ["Controller 1"]',
+            'set = "controller.gamma"\nvalues = [0.5, 0.7]',
+            "sweep.axes[4].set sets 'controller.gamma', which sweep.axes[3] sets already",
+        ),
+        (
+            '"controller.gamma < 3"',
+            '"controller.k_bar < controller.epsilon"',
+            "'controller.epsilon' is not swept",
+        ),
+        (
+            'set = "controller.gamma"\nvalues = [0.5, 0.7]',
+            'set = "controller.epsilon"\nvalues = [0.5, 0.7]',
+            "",
+        ),
+    ],
+)
+def test_axes_of_no_variant_are_refused(tmp_path: Path, old: str, new: str, message: str) -> None:
+    both = ONLY
+    if not message:  # a condition on settings of two variants
+        both = ONLY.replace('"controller.gamma < 3"', '"controller.gamma < controller.epsilon"')
+        message = "sweep.constraints '{}' is of settings that no variant has together".format(
+            "controller.gamma < controller.epsilon"
+        )
+    with pytest.raises(InvalidInput) as told:
+        load_scenario(write(tmp_path, SCALAR + both, (old, new)))
+    assert message in str(told.value)
 
 
 def test_equal_seeds_give_equal_points(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from congelation.cosim.coupling.base import AdaptiveStepper, Coupling, Trial, Wa
 from congelation.cosim.coupling.points import LinkReader, Points
 from congelation.cosim.coupling.polynomial import hermite, product
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.exchange import Exchange
+from congelation.cosim.exchange import Exchange, settle_discrete
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 
@@ -100,6 +100,7 @@ class DerivativeStepper(AdaptiveStepper[Points]):
         self._ensemble = ensemble
         self._exchange = exchange
         self._reader = LinkReader(ensemble)
+        self.first_change = FIRST_CHANGE
         self._sequential = coupling.sequence == "gauss_seidel"
         self._watches = not takes_back
         # Loops are solved at every communication point; for plain feedthrough the sequence of
@@ -158,6 +159,10 @@ class DerivativeStepper(AdaptiveStepper[Points]):
             held if held.any() else None,
         )
 
+    def renew(self) -> None:
+        super().renew()
+        self.watch.clear()
+
     def start(self, time: float, before: Points | None) -> Points:
         state = Points.begun(time, self._reader.start())
         if self._watches:  # otherwise each trial has an error of its own
@@ -167,7 +172,7 @@ class DerivativeStepper(AdaptiveStepper[Points]):
     def advance(self, state: Points, time: float, end: float) -> Points:
         state, _ = self._step(state, time, end)
         self.watch.row(end)[:] = state.now
-        self._ensemble.copy_discrete()
+        settle_discrete(self._ensemble, end)
         return state
 
     def attempt(self, state: Points, time: float, end: float) -> Trial[Points]:
@@ -228,7 +233,7 @@ class DerivativeStepper(AdaptiveStepper[Points]):
     def first_step(self, state: Points) -> float:
         if self.predicts and self._is_plain:
             return 0.0  # nothing is known before a step is made
-        return self._reader.time_scale(state.now) * FIRST_CHANGE
+        return self._reader.time_scale(state.now) * self.first_change
 
     def largest_error(self) -> float:
         return self.watch.largest()

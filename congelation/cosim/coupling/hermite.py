@@ -23,7 +23,7 @@ from congelation.cosim.coupling.interpolant import (
 from congelation.cosim.coupling.points import LinkReader, Points
 from congelation.cosim.coupling.polynomial import product
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.exchange import Exchange
+from congelation.cosim.exchange import Exchange, settle_discrete
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
@@ -37,14 +37,14 @@ ACCELERATIONS = ("broyden", "none")
 JUMPS = ("refuse", "pass")
 
 SHARE_OF_TOLERANCE = 0.3
-"""Of a step's error tolerance, the part left to unfinished iterations."""
+"""Part of a step's error tolerance that is left to unfinished iterations."""
 
 SHARE_OF_HALVED = 1e-4
-"""The same where the error of a step is the difference of two solutions: what unfinished iterations
-leave in either must not show in it."""
+"""The same part where the error of a step is the difference of two solutions: unfinished iterations
+of either must not show in the difference."""
 
 HELD = 2
-"""Order where an input cannot follow the cubic, or a source says no derivative."""
+"""Order where an input cannot follow the cubic, or a source has no derivative."""
 
 FIRST_CHANGE = 3e-2
 """Share of its size by which an input may change over the first step that is tried."""
@@ -244,6 +244,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         self._saves = coupling.rolls_back and tolerance is None
         self._accelerates = coupling.acceleration == "broyden"
         self._reader = LinkReader(ensemble)
+        self.first_change = FIRST_CHANGE
         self._highest = self._highest_order()
         self.halves = bool((ensemble.order < MAX_DERIVATIVE).any() or self._reader.inexact.size)
         self.keeps = coupling.jumps == "pass"
@@ -306,6 +307,10 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
             return wanted
         return LOW if self._tolerance is None or unfit.any() else HIGH
 
+    def renew(self) -> None:
+        super().renew()
+        self._largest = 0.0
+
     def start(self, time: float, before: HermiteState | None) -> HermiteState:
         points = Points.begun(time, self._reader.start())
         if before is None:
@@ -326,7 +331,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
                 f"(at most {self._coupling.max_iterations} are made)",
             )
         self._largest = max(self._largest, trial.error)
-        self._ensemble.copy_discrete()
+        settle_discrete(self._ensemble, end)
         return trial.state
 
     def attempt(self, state: HermiteState, time: float, end: float) -> Trial[HermiteState]:
@@ -434,7 +439,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         return float(relative[worst]), worst
 
     def first_step(self, state: HermiteState) -> float:
-        return self._reader.time_scale(state.points.now) * FIRST_CHANGE
+        return self._reader.time_scale(state.points.now) * self.first_change
 
     def largest_error(self) -> float:
         return self._largest

@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
+from congelation.cli.shared import BAD_INPUT, FAILED, INTERRUPTED
 from congelation.conformance.finding import FmuReport, Verdict
 from congelation.conformance.report import to_json, to_junit, to_lines, to_table
 from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Level
@@ -19,10 +20,9 @@ from congelation.conformance.runner import check as run_check
 from congelation.conformance.runner import select
 from congelation.errors import InvalidInput, nearest
 from congelation.places import check_file, replace_whole
+from congelation.report.conformance import write_conformance
 
 __all__ = ["check"]
-
-_INTERRUPTED = 130
 
 
 class _FailOn(StrEnum):
@@ -50,6 +50,7 @@ def check(
     ],
     junit: Annotated[Path | None, typer.Option(help="Write JUnit XML to this file.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write JSON to this file.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write a page for people to this file.")] = None,
     static: Annotated[
         bool, typer.Option("--static", help="Look at the archive and its XML alone; seconds.")
     ] = False,
@@ -79,7 +80,7 @@ def check(
     level = Level(fail_on.value)
     try:
         chosen = select(rule or ()) or RULES
-        for option, target in (("--junit", junit), ("--json", json)):
+        for option, target in (("--junit", junit), ("--json", json), ("--html", html)):
             if target is not None:
                 if not target.absolute().parent.is_dir():
                     raise InvalidInput(f"{option} {target}: there is no folder {target.parent}")
@@ -123,7 +124,7 @@ def check(
     except InvalidInput as error:
         raise typer.BadParameter(str(error), param_hint="check") from error
     except KeyboardInterrupt:
-        raise typer.Exit(_INTERRUPTED) from None
+        raise typer.Exit(INTERRUPTED) from None
     for entry in report.unused:
         typer.echo(f"{known}: nothing was found for {entry}; remove the entry", err=True)
     if json is not None:
@@ -132,7 +133,9 @@ def check(
     if junit is not None:
         lines = to_junit(report, level) + "\n"
         replace_whole(junit, lambda file: file.write_text(lines, encoding="utf-8"))
+    if html is not None:
+        write_conformance(report, html)
     if report.failures(level):
-        raise typer.Exit(1)
+        raise typer.Exit(FAILED)
     if not all(fmu.in_scope for fmu in report.fmus):
-        raise typer.Exit(2)
+        raise typer.Exit(BAD_INPUT)
