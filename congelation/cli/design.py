@@ -34,16 +34,16 @@ def attack(
     objective: Annotated[
         list[str] | None,
         typer.Option(
-            help="peak, ise or late (|x| after it had settled), or a metric of the scenario "
-            "(repeatable).",
+            help="What to maximise: peak, ise or late (|x| after it had settled), or a metric of "
+            "the scenario (repeatable).",
             show_default="peak, ise, late",
         ),
     ] = None,
     vary: Annotated[
         list[str] | None,
         typer.Option(
-            help="Instead of theta(t), of any FMUs: a free input or a parameter and its bounds "
-            "(repeatable).",
+            help="Vary this free input or parameter of any FMU between its bounds, instead of "
+            "theta(t) (repeatable).",
             metavar="COMPONENT.VARIABLE=LOW..HIGH",
             show_default=False,
         ),
@@ -54,15 +54,18 @@ def attack(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Where the finds go, as scenarios.",
+            help="Folder for the finds, which are scenarios.",
             metavar="DIR",
             show_default="results/<scenario>_attack",
         ),
     ] = None,
     effort: Annotated[
-        float, typer.Option(min=0.01, help="1: half a minute per variant and objective.")
+        float,
+        typer.Option(
+            min=0.01, help="Length of the search; 1 is half a minute per variant and objective."
+        ),
     ] = 1.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random starts.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
 ) -> None:
     """Search for the theta(t) that does most harm; exit code 3 if it breaks a certificate."""
@@ -186,25 +189,28 @@ def _burst(find: Find) -> str | None:
 def tune(
     spec: Annotated[Path, typer.Argument(help="Spec (.toml).", show_default=False)],
     settling: Annotated[
-        float | None, typer.Option(help="Wish: |x| settled after so many seconds.")
+        float | None,
+        typer.Option(help="Wish: largest time, in seconds, after which |x| has settled."),
     ] = None,
-    effort: Annotated[float | None, typer.Option(help="Wish: int u^2 dt at most this.")] = None,
-    peak_input: Annotated[float | None, typer.Option(help="Wish: max |u| at most this.")] = None,
-    below: Annotated[float, typer.Option(help="Settled: |x| stays below this.")] = 1e-2,
-    stop_time: Annotated[float, typer.Option(help="Seconds to solve.")] = 20.0,
+    effort: Annotated[float | None, typer.Option(help="Wish: largest int u^2 dt.")] = None,
+    peak_input: Annotated[float | None, typer.Option(help="Wish: largest max |u|.")] = None,
+    below: Annotated[
+        float, typer.Option(help="Bound on |x| below which it counts as settled.")
+    ] = 1e-2,
+    stop_time: Annotated[float, typer.Option(help="End of the simulations in s.")] = 20.0,
     evaluations: Annotated[int, typer.Option(min=10, help="Designs to try.")] = 600,
-    seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Where the designs tried and the proposals go.",
+            help="Folder for the designs that were tried and the proposals.",
             metavar="DIR",
             show_default="results/<spec>_tune",
         ),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the designs in the folder.")
+        bool, typer.Option("--resume", help="Continue with the designs in the folder.")
     ] = False,
 ) -> None:
     """Search for gains that meet a wish, or without one beat the spec's own; exit 1 if not met."""

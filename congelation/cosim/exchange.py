@@ -28,7 +28,7 @@ LOOP_TOLERANCE = 1e-11
 after a few operations."""
 
 MAX_ITERATIONS = 50
-"""Of one loop: an affine loop of 25 values still has its 2 n iterations."""
+"""Most iterations of one loop: an affine loop of 25 values still has its 2 n iterations."""
 
 
 MAX_DISCRETE_PASSES = 1000

@@ -18,7 +18,7 @@ __all__ = ["Halving", "StepSize", "halved", "is_floor"]
 Floats = npt.NDArray[np.float64]
 
 ORDER_HELD = 2
-"""Of the couplings with inputs held at their mean: the error of one step falls with one power
+"""Order of the couplings that hold inputs at their mean; the error of one step falls with one power
 more."""
 
 

@@ -41,13 +41,13 @@ STRETCH = 1.1
 """A step is stretched by so much to reach its target, rather than leave a tiny one."""
 
 FIRST_SHARE = 1e-2
-"""Of the horizon: the longest first step."""
+"""Longest first step, as a part of the horizon."""
 
 SMALLEST_STEP = 16.0
-"""In units in the last place of time: below it, time does not resolve a step."""
+"""Smallest step, in units in the last place of the time: time does not resolve a shorter one."""
 
 SMALLEST_SHARE = 1e-15
-"""Of the horizon: the same near t = 0, where doubles resolve times of no meaning."""
+"""The same as a part of the horizon, for t near 0, where doubles resolve times of no meaning."""
 
 
 def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:

@@ -17,7 +17,8 @@ MOST_FILES = 100_000
 
 HARMLESS_BYTES = 64 * 2**20
 MOST_COMPRESSION = 100.0
-"""Beyond so many bytes: libraries and tables shrink to a tenth, a bomb to a thousandth."""
+"""Largest ratio of compression of an entry beyond HARMLESS_BYTES: libraries and tables shrink to a
+tenth, an archive made to fill the disk to a thousandth."""
 
 # What zipfile raises for archives that are damaged, encrypted, or of another method.
 DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError, RuntimeError)

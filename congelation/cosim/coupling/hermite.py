@@ -36,14 +36,14 @@ Floats = npt.NDArray[np.float64]
 ACCELERATIONS = ("broyden", "none")
 
 SHARE_OF_TOLERANCE = 0.3
-"""Of a step's error tolerance, the part left to unfinished iterations."""
+"""Part of a step's error tolerance that is left to unfinished iterations."""
 
 SHARE_OF_HALVED = 1e-4
-"""The same where the error of a step is the difference of two solutions: what unfinished iterations
-leave in either must not show in it."""
+"""The same part where the error of a step is the difference of two solutions: unfinished iterations
+of either must not show in the difference."""
 
 HELD = 2
-"""Order where an input cannot follow the cubic, or a source says no derivative."""
+"""Order where an input cannot follow the cubic, or a source has no derivative."""
 
 FIRST_CHANGE = 3e-2
 """Share of its size by which an input may change over the first step that is tried."""
