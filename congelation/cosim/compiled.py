@@ -201,7 +201,7 @@ class _Memory(ctypes.Structure):
 
 
 VERSION = 3
-"""Of the library that fits these structures; as in loop.c."""
+"""Version of the library that fits these structures; as in loop.c."""
 
 
 @cache
