@@ -228,7 +228,7 @@ class _Memory(ctypes.Structure):
 
 
 VERSION = 4
-"""Of the library that fits these structures; as in loop.c."""
+"""Version of the library that fits these structures; as in loop.c."""
 
 
 @cache

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -412,12 +413,27 @@ class Ensemble:
         }
         return bool(held) and any(names is None or held.intersection(names) for names in known)
 
-    def copy_discrete(self) -> None:
-        """Copy the Integer, Boolean and String outputs to the inputs that they drive."""
+    def copy_discrete(self, values: Sequence[float | int | bool | str] | None = None) -> None:
+        """Set the Integer, Boolean and String inputs that are driven, to the values of their
+        sources as they are now if no others are given."""
         # All are read before any is set, so that the order of the connections does not matter.
-        values = self.discrete_values()
+        values = self.discrete_values() if values is None else values
         for link, value in zip(self.system.discrete_links, values, strict=True):
             self.slaves[link.target].set_value(link.input, value)
+
+    @cached_property
+    def discrete_feedthrough(self) -> bool:
+        """Whether an Integer, Boolean or String output that drives an input may follow at once
+        from an input that is driven; where an FMU does not say, it may."""
+        links = self.system.discrete_links
+        driven = {(link.target, link.input.name) for link in (*self.links, *links)}
+        for link in links:
+            known = self.system.members[link.source].description.dependencies
+            depends_on = known.get(link.output.name)
+            inputs = {name for target, name in driven if target == link.source}
+            if inputs and (depends_on is None or inputs.intersection(depends_on)):
+                return True
+        return False
 
     def discrete_values(self) -> list[float | int | bool | str]:
         """The outputs that drive Integer, Boolean and String inputs, as they are now."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 from congelation.cosim.compiled import CHUNK, CompiledHeld, CompiledPolynomials, Loop
@@ -15,15 +16,40 @@ from congelation.cosim.recording import Columns, Rows
 from congelation.cosim.result import RunEnded, Statistics, Status
 from congelation.cosim.system import ResolvedSystem
 
-__all__ = ["Progress", "Session", "just_before"]
+__all__ = ["NOTICE", "Notice", "Progress", "Session", "just_before"]
 
 Progress = Callable[[float], None]
 
 PROGRESS_PERIOD = 0.1
 """Seconds between reports of progress."""
 
+LOOK_PERIOD = 2.0
+"""Seconds over which the pace of a run is measured."""
+
+COLLAPSED = 1e5
+"""Steps that the rest of a run takes where its steps have collapsed."""
+
+PATIENCE = 30.0
+"""Seconds that the rest may take before anything is said."""
+
 UNITS_BEFORE = 8.0
 """Units in the last place between a jump and the point that counts as before it."""
+
+
+@dataclass
+class Notice:
+    """What the run under way in this process has to say of its steps: `line`, until whoever listens
+    to its progress takes it."""
+
+    line: str = ""
+
+    def taken(self) -> str:
+        """The line, which is then empty."""
+        line, self.line = self.line, ""
+        return line
+
+
+NOTICE = Notice()
 
 
 class Session:
@@ -103,6 +129,9 @@ class Session:
         self._time = self.start
         self._progress = progress
         self._next_report = 0.0
+        NOTICE.line = ""
+        self._looked = clock.monotonic(), 0, self.start
+        self._next_look = math.inf if self._tolerance is None else self._looked[0] + LOOK_PERIOD
         self._is_initialised = False
 
     def initialise(self, slave_tolerance: float | None) -> Any:
@@ -210,8 +239,27 @@ class Session:
                 f"{self.steps} steps (and {self.rejected} taken back) reached t = {time:.9g} of "
                 f"{self.stop:.9g}; the last one was {length:.3g} s long",
             )
-        if self._progress is not None and clock.monotonic() >= self._next_report:
+        if self._progress is not None and (now := clock.monotonic()) >= self._next_report:
+            if now >= self._next_look:
+                self._look(now)
             self.report((time - self.start) / (self.stop - self.start))
+
+    def _look(self, now: float) -> None:
+        """Say, once, that the steps have become so short that the rest takes long."""
+        before, steps, time = self._looked
+        self._looked = now, self.steps, self._time
+        self._next_look = now + LOOK_PERIOD
+        length = (self._time - time) / max(self.steps - steps, 1)
+        left = (self.stop - self._time) / max(length, math.ulp(self._time), math.ulp(0.0))
+        seconds = left * (now - before) / max(self.steps - steps, 1)
+        if left > COLLAPSED and seconds > PATIENCE:
+            duration = f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.3g} min"
+            NOTICE.line = (
+                f"at t = {self._time:.6g} of {self.stop:.6g} s the steps are {length:.2g} s long: "
+                f"the rest takes {left:.1g} steps and about {duration}; a larger tolerance makes "
+                "them longer, max_steps or --timeout ends the run"
+            )
+            self._next_look = math.inf
 
     def took(self, loop: Loop) -> None:
         """Count what the compiled loop did.

@@ -27,6 +27,7 @@ from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.coupling.derivative import DerivativeStepper
 from congelation.cosim.coupling.held import GaussSeidelStepper, JacobiStepper
 from congelation.cosim.coupling.hermite import HermiteStepper
+from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session, just_before
@@ -41,13 +42,13 @@ STRETCH = 1.1
 """A step is stretched by so much to reach its target, rather than leave a tiny one."""
 
 FIRST_SHARE = 1e-2
-"""Of the horizon: the longest first step."""
+"""Longest first step, as a part of the horizon."""
 
 SMALLEST_STEP = 16.0
-"""In units in the last place of time: below it, time does not resolve a step."""
+"""Smallest step, in units in the last place of the time: time does not resolve a shorter one."""
 
 SMALLEST_SHARE = 1e-15
-"""Of the horizon: the same near t = 0, where doubles resolve times of no meaning."""
+"""The same as a part of the horizon, for t near 0, where doubles resolve times of no meaning."""
 
 
 def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
@@ -196,7 +197,7 @@ def run_adaptive(
                 ensemble.restore()
                 session.rejected += 1
                 size = size.refused(error, end - time, trial.order if trial else 1)
-            ensemble.copy_discrete()
+            settle_discrete(ensemble, end)
             state = trial.state
             session.largest_error = max(session.largest_error, trial.error)
             if stepper.halves:

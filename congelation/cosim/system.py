@@ -230,7 +230,7 @@ class System:
                     "can be instantiated only once per process"
                 )
         # The runs of a study have connections in common, whose names are found once.
-        key = (tuple((m.name, m.description.sha256) for m in members), self.connections)
+        key = (tuple((m.name, m.description.sha256) for m in members), tuple(self.connections))
         if key not in _LINKS:
             links = [
                 link

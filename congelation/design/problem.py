@@ -54,7 +54,7 @@ class Admissible:
 
     @property
     def radius(self) -> float:
-        """Of the smallest ball about the center that holds the set."""
+        """Radius of the smallest ball about the center that holds the set."""
         return float(np.linalg.norm(self.half)) if self.ball is None else self.ball.delta
 
     def worst(self, gradient: Floats) -> Floats:

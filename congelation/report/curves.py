@@ -42,7 +42,7 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 
 EVERY = -1
-"""In place of a variant's number: a curve that is the same in all of them."""
+"""Stands for a variant's number where a curve is the same in all variants."""
 
 DASHES: tuple[tuple[int, ...], ...] = ((), (8, 3), (2, 3), (10, 3, 2, 3), (5, 2), (14, 4))
 STEPS = "communication step"

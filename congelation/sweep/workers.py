@@ -33,6 +33,7 @@ import psutil
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
 from congelation.cosim.pool import SlavePool
+from congelation.cosim.session import NOTICE
 from congelation.errors import CongelationError
 from congelation.fmi.calls import CALLS, NOTE_SIZE, noted_call
 from congelation.results.record import Outcome
@@ -83,10 +84,11 @@ class Unfinished(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """A run is under way; `fraction` of it is done."""
+    """A run is under way; `fraction` of it is done. `notice` is what it has to say, in one line."""
 
     run_id: str
     fraction: float
+    notice: str = ""
 
 
 Event = Finished | Lost | Unfinished | Progress
@@ -483,7 +485,7 @@ def _work(number: int, tasks: Sequence[Task]) -> None:
 
         def progress(fraction: float, run_id: str = task.run_id, begun: float = begun) -> None:
             if time.monotonic() - begun > REPORTED:
-                send(("progress", number, run_id, fraction))
+                send(("progress", number, run_id, fraction, NOTICE.taken()))
 
         try:
             outcome, trajectory = _Child.do(_Child.job, task, _Child.pool, progress)

@@ -38,10 +38,10 @@ MOST_ROWS = 1000
 """Rows at which the certificate is evaluated: it takes 20 us at each, a run has 100,000."""
 
 CERTIFICATE = "certificate"
-"""What the columns of the certificate begin with."""
+"""Beginning of the names of the certificate's columns."""
 
 MOST_INTEGRATED = 50_000
-"""The same for integrals, in which what lies between two rows counts."""
+"""The same for integrals, which need the rows in between."""
 
 
 @dataclass(frozen=True)

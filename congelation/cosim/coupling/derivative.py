@@ -13,7 +13,7 @@ from congelation.cosim.coupling.base import AdaptiveStepper, Coupling, Trial, Wa
 from congelation.cosim.coupling.points import LinkReader, Points
 from congelation.cosim.coupling.polynomial import hermite, product
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.exchange import Exchange
+from congelation.cosim.exchange import Exchange, settle_discrete
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 
@@ -179,7 +179,7 @@ class DerivativeStepper(AdaptiveStepper[Points]):
     def advance(self, state: Points, time: float, end: float) -> Points:
         state, _ = self._step(state, time, end)
         self.watch.row(end)[:] = state.now
-        self._ensemble.copy_discrete()
+        settle_discrete(self._ensemble, end)
         return state
 
     def attempt(self, state: Points, time: float, end: float) -> Trial[Points]:

@@ -23,7 +23,7 @@ from congelation.cosim.coupling.interpolant import (
 from congelation.cosim.coupling.points import LinkReader, Points
 from congelation.cosim.coupling.polynomial import product
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.exchange import Exchange
+from congelation.cosim.exchange import Exchange, settle_discrete
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
@@ -36,14 +36,14 @@ Floats = npt.NDArray[np.float64]
 ACCELERATIONS = ("broyden", "none")
 
 SHARE_OF_TOLERANCE = 0.3
-"""Of a step's error tolerance, the part left to unfinished iterations."""
+"""Part of a step's error tolerance that is left to unfinished iterations."""
 
 SHARE_OF_HALVED = 1e-4
-"""The same where the error of a step is the difference of two solutions: what unfinished iterations
-leave in either must not show in it."""
+"""The same part where the error of a step is the difference of two solutions: unfinished iterations
+of either must not show in the difference."""
 
 HELD = 2
-"""Order where an input cannot follow the cubic, or a source says no derivative."""
+"""Order where an input cannot follow the cubic, or a source has no derivative."""
 
 FIRST_CHANGE = 3e-2
 """Share of its size by which an input may change over the first step that is tried."""
@@ -334,7 +334,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
                 f"(at most {self._coupling.max_iterations} are made)",
             )
         self._largest = max(self._largest, trial.error)
-        self._ensemble.copy_discrete()
+        settle_discrete(self._ensemble, end)
         return trial.state
 
     def attempt(self, state: HermiteState, time: float, end: float) -> Trial[HermiteState]:
