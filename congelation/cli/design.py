@@ -22,6 +22,7 @@ from congelation.design.playback import write_finds
 from congelation.design.tune import Proposal, Tuning, write_proposals
 from congelation.design.tune import tune as search_gains
 from congelation.errors import InvalidInput
+from congelation.export.spec import read_spec
 from congelation.places import check_folder
 from congelation.scenario.load import load_scenario
 
@@ -113,6 +114,7 @@ def _with_progress(
     workers: int,
 ) -> Attack:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    loaded = load_scenario(scenario)  # what is wrong with it is said without a bar above
     with Progress(*columns, console=Console(stderr=True)) as bar:
         tasks: dict[tuple[str, str], object] = {}
 
@@ -123,7 +125,6 @@ def _with_progress(
                 tasks[task] = bar.add_task(text, total=1.0)
             bar.update(tasks[task], completed=done, description=text)  # type: ignore[arg-type]
 
-        loaded = load_scenario(scenario)
         if vary:
             return search_fmus(
                 loaded,
@@ -217,6 +218,7 @@ def tune(
         raise InvalidInput(f"--below {below:g} --stop-time {stop_time:g}; valid: positive numbers")
     folder = out if out is not None else Path("results") / f"{spec.stem}_tune"
     check_folder("--out", folder)
+    read_spec(spec)  # what is wrong with it is said without a bar above
     named = {"settling": settling, "effort": effort, "peak_input": peak_input}
     try:
         with Progress(

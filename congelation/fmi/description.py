@@ -18,7 +18,7 @@ import fmpy
 from lxml import etree
 
 from congelation.errors import InvalidInput, nearest
-from congelation.fmi.archive import DAMAGED, check_archive
+from congelation.fmi.archive import DAMAGED, check_archive, require_no_other_kind
 from congelation.fmi.units import BASE, Unit, unit_named
 
 __all__ = ["ANNOTATION", "Description", "Variable", "describe"]
@@ -157,6 +157,7 @@ _DESCRIPTIONS: dict[tuple[str, int, int], Description] = {}
 
 
 def _read(path: Path) -> Description:
+    require_no_other_kind(path)
     check_archive(path, "an FMU")
     try:
         with zipfile.ZipFile(path) as archive:
