@@ -45,8 +45,8 @@ FIRST_SHARE = 1e-2
 """Longest first step, as a part of the horizon."""
 
 SHORTEST_KEPT = 1e-6
-"""Longest step, as a part of the horizon, that is kept whatever its error by couplings that pass over
-jumps that no FMU announces. First steps are no shorter unless one is given."""
+"""Longest step, as a part of the horizon, that is kept whatever its error by couplings that pass
+over jumps that no FMU announces. First steps are no shorter unless one is given."""
 
 JUMPED = 10.0
 """Error, in tolerances, beyond which the values before a kept step say nothing of those to come."""

@@ -363,7 +363,7 @@ MISTAKES = {
     ),
     "unknown option of a coupling": (
         "step = 0.01",
-        'step = 0.01\noptions = {sequenz = "jacobi"}',
+        'step = 0.01\ncoupling = "derivative"\noptions = {sequenz = "jacobi"}',
         "no option 'sequenz'; did you mean 'sequence'?",
     ),
     "record of no variable": (

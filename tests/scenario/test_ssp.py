@@ -251,7 +251,9 @@ def test_a_linear_pair_of_held_inputs_takes_tens_of_steps(tmp_path: Path) -> Non
     assert [end["p.y"], end["c.y"]] == pytest.approx(exact, abs=1e-3)
 
 
-def test_fmus_that_cannot_step_back_are_run_in_fixed_steps(archive: Path, tmp_path: Path) -> None:
+def test_fmus_that_cannot_step_back_have_their_steps_predicted(
+    archive: Path, tmp_path: Path
+) -> None:
     plain = without_annotations(archive)
     fmu = tmp_path / "ScalarPlant.fmu"
     fmu.write_bytes(contents(plain)["resources/ScalarPlant.fmu"])
@@ -263,8 +265,13 @@ def test_fmus_that_cannot_step_back_are_run_in_fixed_steps(archive: Path, tmp_pa
     )
     pack(fmu, entries)
     file = pack(plain, {**contents(plain), "resources/ScalarPlant.fmu": fmu.read_bytes()})
-    experiment = read_ssp(file).case({}).experiment
-    assert (experiment.coupling, experiment.step, experiment.tolerance) == ("jacobi", 1e-3, None)
+    scenario = read_ssp(file)
+    experiment = scenario.case({}).experiment
+    assert (experiment.coupling, experiment.step, experiment.tolerance) == ("auto", None, 1e-6)
+    (row,) = run(scenario, out=tmp_path / "out").runs
+    assert (row.status, row.coupling) == ("COMPLETED", "derivative")
+    assert row.coupling_why is not None
+    assert "not all FMUs can save their state" in row.coupling_why
 
 
 def test_the_kinds_of_the_connectors_tell_the_direction(archive: Path) -> None:
@@ -494,7 +501,7 @@ BINDING = '<ssd:ParameterBinding source="resources/plant.ssv"'
         (SSV, '<ssv:Real value="1.0"/>', '<ssv:String value="1"/>', "'1' given, a number needed"),
         (SSD, '"title": ', '"title ', "annotation 'congelation': no JSON"),
         (SSD, '"metrics": {', '"metrix": {', "metrix is not known here; did you mean 'metrics'?"),
-        (SSD, '"coupling": "derivative"', '"coupling": "jacoby"', "experiment.coupling"),
+        (SSD, '"coupling": "auto"', '"coupling": "jacoby"', "experiment.coupling"),
     ],
 )
 def test_what_cannot_be_read_is_said_in_one_line(

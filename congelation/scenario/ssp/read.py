@@ -259,9 +259,15 @@ def _experiment(
         return table
     if (annotated_step := _step_of_other_tools(root, archive)) is not None:
         return {"coupling": "jacobi", **table, "step": annotated_step}
-    if all(describe(Path(str(c["fmu"]))).can_vary_step for c in components.values()):
-        smooth = all(_carries_polynomials(connection, components) for connection in connections)
-        return {**table, "tolerance": _TOLERANCE if smooth else _TOLERANCE_OF_HELD_INPUTS}
+    found = [describe(Path(str(component["fmu"]))) for component in components.values()]
+    if all(description.can_vary_step for description in found):
+        if all(_carries_polynomials(connection, components) for connection in connections):
+            return {**table, "tolerance": _TOLERANCE}
+        table = {**table, "tolerance": _TOLERANCE_OF_HELD_INPUTS}
+        if all(description.can_get_and_set_state for description in found):
+            # Steps made again in halves know their error best where inputs are held.
+            return {"coupling": "derivative", **table}
+        return table
     step = (table["stop_time"] - table.get("start_time", 0.0)) / _STEPS
     return {**table, "step": step}
 
