@@ -12,7 +12,7 @@ help:
 	@echo "make test    the whole test suite"
 	@echo "make system-packages   what tests use that is no Python package (Debian, as root)"
 	@echo "make test-fast   the tests that are not marked slow"
-	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each, and ten minutes of mutations"
+	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each, ten minutes of mutations, every rule on every FMU"
 	@echo "make check   format, lint, types, import layers"
 	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
 	@echo "make bench-coupling   error bars, work and precision on problems with known solutions"
@@ -59,7 +59,7 @@ demo: fmus
 PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 # Debian's packages that tests use; a test that lacks one is skipped, and says so.
-SYSTEM_PACKAGES := chromium
+SYSTEM_PACKAGES := chromium cppcheck
 
 system-packages:
 	@for name in $(SYSTEM_PACKAGES); do \
@@ -77,6 +77,7 @@ test-fast: fmus
 SECONDS_OF_MUTATIONS = 600
 fuzz: fmus
 	CONGELATION_FUZZ_SECONDS=$(SECONDS_OF_MUTATIONS) $(BIN)/python -m pytest -m fuzz --hypothesis-profile=fuzz
+	$(BIN)/congelation check fmus/*.fmu fmus/native/*.fmu
 
 check: .venv/installed
 	$(BIN)/ruff format --check .

@@ -41,6 +41,7 @@ STANDARD = (
     "nonlinear",
     "bound_estimator",
     "filtered_transformation",
+    "structured",
 )
 # A delay has no native twin.
 NATIVE = tuple(name for name in STANDARD if name != "delay")

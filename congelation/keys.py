@@ -20,10 +20,10 @@ from congelation.toml import TIME_UNITS, Key, Table
 __all__ = ["MOST_RUNS", "SCENARIO", "SPEC", "json_schema"]
 
 MOST_RUNS = 2**20
-"""Of each variant of a sweep: the plan of so many takes half a gigabyte and some minutes."""
+"""Most runs of each variant of a study: their plan takes half a gigabyte and some minutes."""
 
 LARGEST_ORDER = 100
-"""Of n, m and p of a spec: what the recursions derive outgrows any memory long before."""
+"""Largest n, m and p of a spec: the derived expressions outgrow any memory long before."""
 
 
 def _term(kind: str) -> Key:
@@ -84,6 +84,7 @@ COMPONENT = Table(
         Key(
             "fmu", "text", "name of a file in a fmus/ folder, or a path ending in .fmu", None, True
         ),
+        Key("native", "boolean", "take the native twin, fmus/native/NAME.fmu", False),
         Key("start", "table", "start values: parameters, states, inputs", table=VALUES),
         Key("profile", "table", "theta(t) of a plant, signals of a block", table=PROFILES),
     ),
@@ -291,6 +292,12 @@ STRUCTURE = Table(
             "congelation",
             choices=("congelation", "bound-estimator", "filtered-transformation"),
         ),
+        Key(
+            "Upsilon",
+            "table",
+            "structured variations, theta(t) = Upsilon(t) vartheta + theta_u(t)",
+            table=Table("By row.", extra=Key("i", "texts", "formulas in t, as many in each row")),
+        ),
         Key("A", "matrix", "of x' = A x + B (u + theta^T x)"),
         Key("B", "matrix", "of x' = A x + B (u + theta^T x)"),
         Key("size", "integer", "number of signals of a block", 1, least=1, most=LARGEST_ORDER),
@@ -339,7 +346,7 @@ SPEC = Table(
         Key(
             "units",
             "table",
-            "units of variables",
+            "units of variables; the equations of the form have to admit them",
             table=Table(
                 "By variable.",
                 extra=Key("VARIABLE", "name or names", "one unit, or one for each element"),

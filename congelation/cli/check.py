@@ -121,8 +121,6 @@ def check(
                 progress=advance,
                 done=tell,
             )
-    except InvalidInput as error:
-        raise typer.BadParameter(str(error), param_hint="check") from error
     except KeyboardInterrupt:
         raise typer.Exit(INTERRUPTED) from None
     for entry in report.unused:

@@ -22,6 +22,7 @@ from congelation.design.playback import write_finds
 from congelation.design.tune import Proposal, Tuning, write_proposals
 from congelation.design.tune import tune as search_gains
 from congelation.errors import InvalidInput
+from congelation.export.spec import read_spec
 from congelation.places import check_folder
 from congelation.scenario.load import load_scenario
 
@@ -33,16 +34,16 @@ def attack(
     objective: Annotated[
         list[str] | None,
         typer.Option(
-            help="peak, ise or late (|x| after it had settled), or a metric of the scenario "
-            "(repeatable).",
+            help="What to maximise: peak, ise or late (|x| after it had settled), or a metric of "
+            "the scenario (repeatable).",
             show_default="peak, ise, late",
         ),
     ] = None,
     vary: Annotated[
         list[str] | None,
         typer.Option(
-            help="Instead of theta(t), of any FMUs: a free input or a parameter and its bounds "
-            "(repeatable).",
+            help="Vary this free input or parameter of any FMU between its bounds, instead of "
+            "theta(t) (repeatable).",
             metavar="COMPONENT.VARIABLE=LOW..HIGH",
             show_default=False,
         ),
@@ -53,15 +54,18 @@ def attack(
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Where the finds go, as scenarios.",
+            help="Folder for the finds, which are scenarios.",
             metavar="DIR",
             show_default="results/<scenario>_attack",
         ),
     ] = None,
     effort: Annotated[
-        float, typer.Option(min=0.01, help="1: half a minute per variant and objective.")
+        float,
+        typer.Option(
+            min=0.01, help="Length of the search; 1 is half a minute per variant and objective."
+        ),
     ] = 1.0,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random starts.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random starts.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
 ) -> None:
     """Search for the theta(t) that does most harm; exit code 3 if it breaks a certificate."""
@@ -110,6 +114,7 @@ def _with_progress(
     workers: int,
 ) -> Attack:
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn())
+    loaded = load_scenario(scenario)  # what is wrong with it is said without a bar above
     with Progress(*columns, console=Console(stderr=True)) as bar:
         tasks: dict[tuple[str, str], object] = {}
 
@@ -120,7 +125,6 @@ def _with_progress(
                 tasks[task] = bar.add_task(text, total=1.0)
             bar.update(tasks[task], completed=done, description=text)  # type: ignore[arg-type]
 
-        loaded = load_scenario(scenario)
         if vary:
             return search_fmus(
                 loaded,
@@ -185,25 +189,28 @@ def _burst(find: Find) -> str | None:
 def tune(
     spec: Annotated[Path, typer.Argument(help="Spec (.toml).", show_default=False)],
     settling: Annotated[
-        float | None, typer.Option(help="Wish: |x| settled after so many seconds.")
+        float | None,
+        typer.Option(help="Wish: largest time, in seconds, after which |x| has settled."),
     ] = None,
-    effort: Annotated[float | None, typer.Option(help="Wish: int u^2 dt at most this.")] = None,
-    peak_input: Annotated[float | None, typer.Option(help="Wish: max |u| at most this.")] = None,
-    below: Annotated[float, typer.Option(help="Settled: |x| stays below this.")] = 1e-2,
-    stop_time: Annotated[float, typer.Option(help="Seconds to solve.")] = 20.0,
+    effort: Annotated[float | None, typer.Option(help="Wish: largest int u^2 dt.")] = None,
+    peak_input: Annotated[float | None, typer.Option(help="Wish: largest max |u|.")] = None,
+    below: Annotated[
+        float, typer.Option(help="Bound on |x| below which it counts as settled.")
+    ] = 1e-2,
+    stop_time: Annotated[float, typer.Option(help="End of the simulations in s.")] = 20.0,
     evaluations: Annotated[int, typer.Option(min=10, help="Designs to try.")] = 600,
-    seed: Annotated[int, typer.Option(min=0, help="Of the search.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
     out: Annotated[
         Path | None,
         typer.Option(
-            help="Where the designs tried and the proposals go.",
+            help="Folder for the designs that were tried and the proposals.",
             metavar="DIR",
             show_default="results/<spec>_tune",
         ),
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the designs in the folder.")
+        bool, typer.Option("--resume", help="Continue with the designs in the folder.")
     ] = False,
 ) -> None:
     """Search for gains that meet a wish, or without one beat the spec's own; exit 1 if not met."""
@@ -211,6 +218,7 @@ def tune(
         raise InvalidInput(f"--below {below:g} --stop-time {stop_time:g}; valid: positive numbers")
     folder = out if out is not None else Path("results") / f"{spec.stem}_tune"
     check_folder("--out", folder)
+    read_spec(spec)  # what is wrong with it is said without a bar above
     named = {"settling": settling, "effort": effort, "peak_input": peak_input}
     try:
         with Progress(

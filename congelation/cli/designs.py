@@ -25,7 +25,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print JSON.")]
 
 def new(
     name: Annotated[
-        str, typer.Argument(help="Of the folder to make, and of the FMUs.", show_default=False)
+        str, typer.Argument(help="Name of the new folder and of the FMUs.", show_default=False)
     ],
     source: Annotated[
         Path | None,
@@ -40,8 +40,8 @@ def new(
         float,
         typer.Option(
             min=0.0,
-            help="With --from: half the width of the intervals of coefficients of the denominator "
-            "given as numbers, relative to them.",
+            help="With --from: a coefficient of the denominator given as one number becomes an "
+            "interval that reaches this far to either side, relative to the number.",
         ),
     ] = 0.0,
 ) -> None:
@@ -57,7 +57,8 @@ def new(
 
 def examples(
     folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Where to copy them.", show_default=False)
+        Path,
+        typer.Argument(metavar="DIR", help="Folder to copy the examples to.", show_default=False),
     ],
 ) -> None:
     """Copy the example specs and scenarios into the folders specs and scenarios of DIR."""
@@ -73,14 +74,20 @@ def build(
     native: Annotated[
         bool,
         typer.Option(
-            "--native", help="Their native twins, which run without Python, into DIR/native."
+            "--native", help="Build native FMUs, which run without Python, into DIR/native."
+        ),
+    ] = False,
+    c_code: Annotated[
+        bool,
+        typer.Option(
+            "--c-code", help="The bare controllers as C for sampled control instead, into DIR/c."
         ),
     ] = False,
 ) -> None:
     """Build the plant and the controller FMUs of specs."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", DesignWarning)
-        paths = build_fmus(*specs, out=out, native=native)
+        paths = build_fmus(*specs, out=out, native=native, c_code=c_code)
     for warning in found:
         complain(f"warning: {warning.message}")
     for path in paths:
@@ -92,12 +99,14 @@ def info(
     other: Annotated[
         Path | None,
         typer.Argument(
-            metavar="[FMU]", help="A second one, to connect it with.", show_default=False
+            metavar="[FMU]", help="A second FMU to connect it with.", show_default=False
         ),
     ] = None,
     stop_time: Annotated[
         float | None,
-        typer.Option(help="Seconds of trial runs of a pair.", show_default="what the FMUs propose"),
+        typer.Option(
+            help="Length of the trial runs of a pair in s.", show_default="what the FMUs propose"
+        ),
     ] = None,
     json: AsJson = False,
 ) -> None:
@@ -112,12 +121,11 @@ def info(
 def certify(
     file: Annotated[Path, typer.Argument(help="Spec or scenario (.toml).", show_default=False)],
     samples: Annotated[int, typer.Option(min=1, help="Random states to try.")] = 1000,
-    seed: Annotated[int, typer.Option(min=0, help="Of the random states.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random states.")] = 0,
     umax: Annotated[
         float | None,
         typer.Option(
-            help="Largest |u| of a saturated control: look for the level set of V in which the "
-            "design never saturates.",
+            help="Limit of |u|: find the level set of V in which the control never saturates.",
             show_default="none",
         ),
     ] = None,

@@ -38,13 +38,21 @@ def shown(plan: Plan, form: Form) -> Iterator[Listener | None]:
             task = bar.add_task(
                 "", total=plan.total, completed=before.done, done=before.done, failed=0, memory="0"
             )
-            yield lambda tally: bar.update(
-                task,
-                completed=tally.done + tally.under_way,
-                done=tally.done,
-                failed=tally.failed,
-                memory=f"{tally.memory / 1e6:.0f}",
-            )
+
+            def show(tally: Tally) -> None:
+                for notice in tally.notices:
+                    bar.console.print(
+                        f"congelation: {notice}", markup=False, highlight=False, soft_wrap=True
+                    )
+                bar.update(
+                    task,
+                    completed=tally.done + tally.under_way,
+                    done=tally.done,
+                    failed=tally.failed,
+                    memory=f"{tally.memory / 1e6:.0f}",
+                )
+
+            yield show
     elif form is Form.JSON:
         yield _Lines(before)
     else:
@@ -63,7 +71,10 @@ def _bar() -> Progress:
 
 
 class _Lines:
-    """Lines of JSON: done, total, failed, rate (1/s), eta (s, null if unknown), memory (bytes)."""
+    """Lines of JSON: done, total, failed, rate (1/s), eta (s, null if unknown), memory (bytes).
+
+    What a run has to say of its steps is a line of its own: notice.
+    """
 
     def __init__(self, before: Tally) -> None:
         self._before = before
@@ -71,6 +82,8 @@ class _Lines:
         self._next = 0.0
 
     def __call__(self, tally: Tally) -> None:
+        for notice in tally.notices:
+            print(json.dumps({"notice": notice}), file=sys.stderr, flush=True)
         now = time.monotonic()
         if now < self._next and tally.done < tally.total:
             return

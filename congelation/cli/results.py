@@ -66,16 +66,14 @@ def report(
     html: Annotated[
         Path | None,
         typer.Option(
-            help="Where to write the page, one self-contained HTML file.",
+            help="File to write the report to, one self-contained page.",
             metavar="FILE",
             show_default="DIR/report.html; of a comparison, comparison.html in the last DIR",
         ),
     ] = None,
     figures: Annotated[
         Path | None,
-        typer.Option(
-            help="Where to write the figures.", metavar="FOLDER", show_default="DIR/figures"
-        ),
+        typer.Option(help="Folder for the figures.", metavar="FOLDER", show_default="DIR/figures"),
     ] = None,
     form: Annotated[
         list[str] | None,
@@ -199,7 +197,10 @@ def ls(
 def show(
     folder: Directory,
     run_id: Annotated[
-        str, typer.Argument(metavar="RUN_ID", help="Or its first digits.", show_default=False)
+        str,
+        typer.Argument(
+            metavar="RUN_ID", help="Id of a run, or its first digits.", show_default=False
+        ),
     ],
     as_json: Json = False,
 ) -> None:

@@ -68,13 +68,15 @@ Timeout = Annotated[
     float | None,
     typer.Option(help="Seconds that a run may take.", metavar="SECONDS", show_default=False),
 ]
-ProgressForm = Annotated[Form, typer.Option(help="A bar, one line of JSON at a time, or nothing.")]
+ProgressForm = Annotated[
+    Form, typer.Option(help="How progress is shown: a bar, lines of JSON, or not at all.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON in place of tables.")]
 
-Strict = Annotated[bool, typer.Option("--strict", help="Take warnings for errors.")]
+Strict = Annotated[bool, typer.Option("--strict", help="Treat warnings as errors.")]
 
 MOST_CAUSES = 3
-"""Of failures in a study, named at its end."""
+"""Most causes of failure that are named at the end of a study."""
 
 _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
 

@@ -90,9 +90,8 @@ class Children:
                 start_new_session=True,
             )
             self._running.add(process.pid)
-        code: int | None = None
         try:
-            code = self._wait(process, job, limit)
+            code, allowed = self._wait(process, job, limit)
         finally:
             # All processes of the group, since a rule or the FMU may have started others.
             _kill(process.pid)
@@ -101,30 +100,32 @@ class Children:
                 self._running.discard(process.pid)
         where = Tape.read(job.tape)
         if code is None:
-            how = f"not done after {limit:g} s (in {where or 'the rule'})"
+            how = f"not done after {allowed:.3g} s (in {where or 'the rule'})"
         else:
             how = f"the process {ending(code)}" + (f" in {where}" if where else "")
         lines = words.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         left = json.loads(job.result.read_text(encoding="utf-8")) if job.result.exists() else None
         return Ended(code, how, lines[-1][-_LAST_WORDS:] if lines else "", left)
 
-    def _wait(self, process: subprocess.Popen[bytes], job: Job, limit: float) -> int | None:
-        """The exit code of a child; None if its time is up, or that of a single call.
+    def _wait(
+        self, process: subprocess.Popen[bytes], job: Job, limit: float
+    ) -> tuple[int | None, float]:
+        """The exit code of a child, None if its time is up or that of a single call, and the time.
 
-        The latter is a part of the usual limit, also for rules that may take longer in all.
+        A call may take a part of the usual limit, also in rules that may take longer in all.
         """
-        usual = self._time_limit
+        of_a_call = max(self._time_limit * _CALL, min(self._time_limit, _SHORT))
         end = time.monotonic() + limit
         state, since = b"", time.monotonic()
         while (now := time.monotonic()) < end:
             with suppress(subprocess.TimeoutExpired):
-                return process.wait(min(_POLL, end - now))
+                return process.wait(min(_POLL, end - now)), limit
             found = Tape.state(job.tape)
             if found != state or not Tape.read(job.tape):
                 state, since = found, time.monotonic()
-            elif time.monotonic() - since > max(usual * _CALL, min(usual, _SHORT)):
-                return None
-        return None
+            elif time.monotonic() - since > of_a_call:
+                return None, of_a_call
+        return None, limit
 
 
 def _kill(group: int) -> None:

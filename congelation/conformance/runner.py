@@ -19,6 +19,7 @@ from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Outcome, Rul
 from congelation.conformance.rules import RULES
 from congelation.conformance.subject import DESCRIPTION
 from congelation.errors import InvalidInput, nearest
+from congelation.fmi.archive import require_no_other_kind
 
 __all__ = ["check", "select"]
 
@@ -126,6 +127,8 @@ def check(
             raise InvalidInput(f"there is no FMU at '{path}'")
         if path.is_dir() and not (path / DESCRIPTION).is_file():
             raise InvalidInput(f"the folder '{path}' is no unpacked FMU: it has no {DESCRIPTION}")
+        if path.is_file():
+            require_no_other_kind(path)
     accepted = read_known(Path(known), BY_ID) if known is not None else ()
     used: set[Accepted] = set()
     reports = []

@@ -37,13 +37,13 @@ Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
 
 TIGHTER = 0.03
-"""Iterations of the second run end at this share of the change at which those of the first do."""
+"""Tolerance of the iterations in the second run, relative to that of the first."""
 
 TIGHTER_SLAVES = 0.01
-"""The same of the tolerance of the FMUs."""
+"""Tolerance of the FMUs in the second run, relative to that of the first."""
 
 NEAR = 1e-9
-"""Of the shortest step: rows of two runs this near to each other are of the same time."""
+"""Rows of two runs are of the same time if they differ by less, relative to the shortest step."""
 
 WORTH = 2.0
 """Seconds that a run must have left for a second process to be worth its start."""
@@ -52,7 +52,7 @@ LOOKED_AT = 0.2
 """Seconds after which the length of a run is estimated."""
 
 PROCESSORS = 2
-"""That are needed for two runs at once."""
+"""Processors that two runs at once need."""
 
 MODULE = "congelation.cosim.again"
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -134,6 +135,8 @@ class Ensemble:
         Send it its columns of C[0] alone.
     reads, writes, holds : list of list of Transfer, one per slave
         What these three do, as data.
+    events : list of int
+        Places in Y of the announcements of jumps.
     checked : list of array, one per slave
         The parts of Y in which every value has to be finite.
     read_calls, write_calls : list of int, one per slave
@@ -158,12 +161,20 @@ class Ensemble:
     ) -> None:
         self.system = system
         self.slaves = tuple(slaves)
+        self._plan_outputs(recorded, derivatives, slopes, events)
+        self._plan_inputs(derivatives)
+        self.begin(system)
+
+    def begin(self, system: ResolvedSystem) -> None:
+        """Get ready for a run of this system, which may differ in start values alone from the one
+        that the ensemble was made for; its slaves are new or reset."""
+        self.system = system
         self.stepping = False
         self.calls = 0
         self.level = 0
         self._states: dict[int, list[tuple[Slave, State]]] = {}
-        self._plan_outputs(recorded, derivatives, slopes, events)
-        self._plan_inputs(derivatives)
+        self.Y[:] = 0.0
+        self.C[:] = 0.0
 
     # -- what is read -------------------------------------------------------------------------
 
@@ -198,7 +209,7 @@ class Ensemble:
         self.read: list[Call] = []
         self.reads: list[list[Transfer]] = []
         self.checked: list[Floats] = []
-        self._events: list[int] = []
+        self.events: list[int] = []
         begin = 0
         for part, slave in zip(parts, self.slaves, strict=True):
             middle, end = begin + len(part.plain), begin + len(part.names)
@@ -216,7 +227,7 @@ class Ensemble:
             self.read.append(self._calls(slave, reads))
             announces = EVENT in part.plain
             if announces:
-                self._events.append(middle - 1)
+                self.events.append(middle - 1)
             # An announcement may be infinite, so the check of finite values stops before it.
             self.checked.append(self.Y[begin : middle - announces])
             begin = end
@@ -249,7 +260,7 @@ class Ensemble:
         else:
             return
         for k, value in enumerate(self.Y.tolist()):
-            if k in self._events:
+            if k in self.events:
                 continue
             where = f"{self._names[k]} at t = {time:.9g}"
             if not math.isfinite(value):
@@ -259,7 +270,7 @@ class Ensemble:
 
     def next_event(self, time: float) -> float:
         """The first jump announced after `time`; infinity where there is none."""
-        announced = (float(self.Y[k]) for k in self._events)
+        announced = (float(self.Y[k]) for k in self.events)
         return min((event for event in announced if event > time), default=math.inf)
 
     # -- what is sent -------------------------------------------------------------------------
@@ -402,12 +413,27 @@ class Ensemble:
         }
         return bool(held) and any(names is None or held.intersection(names) for names in known)
 
-    def copy_discrete(self) -> None:
-        """Copy the Integer, Boolean and String outputs to the inputs that they drive."""
+    def copy_discrete(self, values: Sequence[float | int | bool | str] | None = None) -> None:
+        """Set the Integer, Boolean and String inputs that are driven, to the values of their
+        sources as they are now if no others are given."""
         # All are read before any is set, so that the order of the connections does not matter.
-        values = self.discrete_values()
+        values = self.discrete_values() if values is None else values
         for link, value in zip(self.system.discrete_links, values, strict=True):
             self.slaves[link.target].set_value(link.input, value)
+
+    @cached_property
+    def discrete_feedthrough(self) -> bool:
+        """Whether an Integer, Boolean or String output that drives an input may follow at once
+        from an input that is driven; where an FMU does not say, it may."""
+        links = self.system.discrete_links
+        driven = {(link.target, link.input.name) for link in (*self.links, *links)}
+        for link in links:
+            known = self.system.members[link.source].description.dependencies
+            depends_on = known.get(link.output.name)
+            inputs = {name for target, name in driven if target == link.source}
+            if inputs and (depends_on is None or inputs.intersection(depends_on)):
+                return True
+        return False
 
     def discrete_values(self) -> list[float | int | bool | str]:
         """The outputs that drive Integer, Boolean and String inputs, as they are now."""
@@ -427,8 +453,8 @@ class Ensemble:
             self.calls += len(self.slaves)
             return
         for slave, state in saved:
+            self.calls += 1 if state.value is None else 2
             slave.save_into(state)
-        self.calls += 2 * len(saved)
 
     def state_handles(self) -> list[State]:
         """The handles of the states that `save` saves over, one per slave, for compiled code."""

@@ -18,7 +18,7 @@ from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.system import derivative_name
 
-__all__ = ["Exchange", "strong_components"]
+__all__ = ["Exchange", "settle_discrete", "strong_components"]
 
 Floats = npt.NDArray[np.float64]
 Indices = npt.NDArray[np.intp]
@@ -28,7 +28,11 @@ LOOP_TOLERANCE = 1e-11
 after a few operations."""
 
 MAX_ITERATIONS = 50
-"""Of one loop: an affine loop of 25 values still has its 2 n iterations."""
+"""Most iterations of one loop: an affine loop of 25 values still has its 2 n iterations."""
+
+
+MAX_DISCRETE_PASSES = 1000
+"""Of Integer, Boolean and String values: a loop may count up to where it comes to rest."""
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,8 @@ class Exchange:
 
     Attributes
     ----------
+    blocks : list of Block
+        In the order in which they are carried over.
     loops : tuple of str
         Each algebraic loop as the names of its connections.
     """
@@ -97,41 +103,28 @@ class Exchange:
         SlaveError
         """
         ensemble = self._ensemble
+        links = ensemble.system.discrete_links
         ensemble.C[2:] = 0.0
-        self._copy_discrete(time)
-        for block in self.blocks:
-            self._read(block)
-            values = ensemble.Y[block.places]
-            self._send(block, values)
-            if block.loop:
-                self._solve(block, values, time)
-        ensemble.read_all()
-        ensemble.calls += sum(ensemble.read_calls)
-
-    def _copy_discrete(self, time: float) -> None:
-        """Copy Integer, Boolean and String values until none changes: an output may follow from
-        an input at once.
-
-        Raises
-        ------
-        RunEnded
-            LOOP_UNSOLVED, where they never stop changing.
-        """
-        links = self._ensemble.system.discrete_links
-        before = None
-        # A chain through all links takes as many passes; the last one finds nothing new.
-        for _ in range(len(links) + 1):
-            after = self._ensemble.discrete_values()
-            if after == before or not links:
+        settle_discrete(ensemble, time)
+        for _ in range(MAX_ITERATIONS):
+            sent = ensemble.discrete_values() if links else []
+            for block in self.blocks:
+                self._read(block)
+                values = ensemble.Y[block.places]
+                self._send(block, values)
+                if block.loop:
+                    self._solve(block, values, time)
+            # A comparison of Real inputs may have changed, and with it what drives a switch.
+            if not links or ensemble.discrete_values() == sent:
+                ensemble.read_all()
+                ensemble.calls += sum(ensemble.read_calls)
                 return
-            self._ensemble.copy_discrete()
-            before = after
-        if self._ensemble.discrete_values() != before:
-            raise RunEnded(
-                Status.LOOP_UNSOLVED,
-                f"at t = {time:.9g}: Integer, Boolean or String values keep changing around "
-                f"{', '.join(link.name for link in links)}",
-            )
+            settle_discrete(ensemble, time)
+        raise RunEnded(
+            Status.LOOP_UNSOLVED,
+            f"at t = {time:.9g}: {', '.join(link.name for link in links)} keep changing with the "
+            f"Real values around {self._all_names()}",
+        )
 
     def settle(self, time: float) -> None:
         """Run, and again while that changes anything: for initialisation, where an output may
@@ -174,7 +167,11 @@ class Exchange:
             z_before, r_before = z, r
             z = z + broyden_step(J, r)
             self._send(block, z)
-        raise RunEnded(
+        raise self.unsolved(block, time)
+
+    def unsolved(self, block: Block, time: float) -> RunEnded:
+        """What ends the run where a loop has no solution."""
+        return RunEnded(
             Status.LOOP_UNSOLVED,
             f"at t = {time:.9g}: no solution of the algebraic loop {self._names(block)}",
         )
@@ -200,6 +197,42 @@ class Exchange:
 
     def _all_names(self) -> str:
         return ", ".join(link.name for link in self._ensemble.links)
+
+
+def settle_discrete(ensemble: Ensemble, time: float) -> None:
+    """Copy Integer, Boolean and String outputs to the inputs that they drive until none changes,
+    as an output may follow from an input at once.
+
+    All are read before any is set, so that the order of the connections does not matter: after as
+    many passes as its longest chain has links, a system without loops agrees.
+
+    Raises
+    ------
+    RunEnded
+        LOOP_UNSOLVED, where a loop does not come to rest; the message names its connections.
+    """
+    links = ensemble.system.discrete_links
+    values = ensemble.discrete_values()
+    for _ in range(MAX_DISCRETE_PASSES):
+        ensemble.copy_discrete(values)
+        if not ensemble.discrete_feedthrough:
+            return
+        before, values = values, ensemble.discrete_values()
+        if values == before:
+            return
+    changing = {k for k, (a, b) in enumerate(zip(before, values, strict=True)) if a != b}
+    successors = {
+        k: [n for n, after in enumerate(links) if link.target == after.source]
+        for k, link in enumerate(links)
+    }
+    loop = next(c for c in strong_components(successors) if changing.intersection(c))
+    raise RunEnded(
+        Status.LOOP_UNSOLVED,
+        f"at t = {time:.9g}: the loop of Integer, Boolean or String values "
+        f"{', '.join(links[k].name for k in sorted(loop))} does not come to rest in "
+        f"{MAX_DISCRETE_PASSES} passes; break it by an FMU that passes its input on at the next "
+        "step",
+    )
 
 
 def _wires(ensemble: Ensemble) -> list[Wire]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from numbers import Real
 
 from congelation.cosim.coupling import Coupling, make_coupling, refuse_tolerance
@@ -21,24 +22,24 @@ __all__ = [
 ]
 
 SLAVE_SHARE = 0.1
-"""Of the tolerance of a run, the part given to the FMUs' own integration."""
+"""Tolerance of the FMUs' own integration, relative to the tolerance of the run."""
 
 RESOLVED = 16.0
-"""Units in the last place of time that the shortest period takes."""
+"""Shortest period that time resolves, in units in the last place of the time."""
 
 MOST_POINTS = 1e12
-"""Of one kind in a run: so many take months."""
+"""Largest number of points of one kind in a run: so many take months."""
 
 GRID_ROUNDING = 1e-12
 """A horizon this near to a whole number of steps, relative, is taken to be one."""
 
 
 UNITS = 2.0
-"""The same in units in the last place of time: what start and stop are off by, when written as
-decimal numbers."""
+"""The same, in units in the last place of the time: start and stop are off by so much when they are
+written as decimal numbers."""
 
 GRID_SHARE = 1e-3
-"""Of a step: more is never rounding."""
+"""Largest part of a step that counts as rounding."""
 
 
 _NUMBERS = ("start_time", "stop_time", "step", "tolerance", "slave_tolerance", "output_interval")
@@ -123,7 +124,7 @@ class Experiment:
             )
         self.chosen_coupling  # noqa: B018  # refuses what is unknown
 
-    @property
+    @cached_property
     def chosen_coupling(self) -> Coupling:
         """The coupling itself.
 

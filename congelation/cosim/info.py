@@ -32,7 +32,7 @@ COARSEST = 10
 """Communication steps of the first trial; each further one takes twice as many."""
 
 MOST_STEPS = 20_000
-"""Of a trial: about a second. Beyond it the step for 1 % is extrapolated."""
+"""Most steps of a trial, about a second; beyond it the step for 1 % is extrapolated."""
 
 RESOLUTION = 1.05
 """Ratio of an unstable step to a stable one at which the search for the limit ends."""

@@ -6,6 +6,7 @@ import os
 import time as clock
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from functools import partial
 
 import numpy as np
 
@@ -24,10 +25,10 @@ from congelation.cosim.result import Result, RunEnded, Statistics, Status
 from congelation.cosim.session import Progress, Session
 from congelation.cosim.sinks import Memory, Recorder
 from congelation.cosim.stepping import run_adaptive, run_fixed
-from congelation.cosim.system import System
+from congelation.cosim.system import Recorded, ResolvedSystem, System
 from congelation.cosim.trust import trusted
 from congelation.errors import InvalidInput, SlaveError
-from congelation.fmi.slave import SlaveTerminated
+from congelation.fmi.slave import Slave, SlaveTerminated
 
 __all__ = ["perform", "simulate"]
 
@@ -164,9 +165,9 @@ def perform(
     require_resolved_periods(experiment, outputs)
     resolved = system.resolve()
     require_abilities(resolved, experiment)
-    coupling = experiment.chosen_coupling
     recorded = resolved.recorded(experiment.record)
     names = tuple(item.name for item in recorded)
+    kinds = tuple((output.every, output.interval) for output in outputs)
     memory = Memory()
     status, message, statistics = Status.COMPLETED, Status.COMPLETED.value, Statistics()
     with ExitStack() as stack:
@@ -175,26 +176,15 @@ def perform(
         ]
         lender = pool if pool is not None else stack.enter_context(SlavePool())
         try:
-            ensemble = Ensemble(
-                resolved,
-                stack.enter_context(lender.lend(resolved.members)),
-                recorded,
-                derivatives=coupling.needs_derivatives,
-                slopes=any(output.interval is not None for output in outputs),
-                events=coupling.lands_on_events,
+            slaves = stack.enter_context(lender.lend(resolved.members))
+            session = lender.session(
+                # Runs that agree in this differ in start values alone.
+                (resolved.names, system.connections, experiment, kinds),
+                slaves,
+                partial(_set_up, resolved, slaves, recorded, experiment, kinds),
             )
-            columns = Columns(ensemble, recorded, latched=coupling.latches)
-            rows = [o.rows(columns, r) for o, r in zip(outputs, recorders, strict=True)]
-            session = Session(
-                ensemble,
-                coupling,
-                experiment.start_time,
-                experiment.stop_time,
-                experiment.tolerance,
-                experiment.max_steps,
-                rows,
-                progress,
-            )
+            rows = [o.rows(session.columns, r) for o, r in zip(outputs, recorders, strict=True)]
+            session.begin(resolved, rows, progress)
             status, message = _ended(session, experiment, points)
             statistics = session.statistics(clock.perf_counter() - begin)
         except SlaveError as error:
@@ -204,6 +194,34 @@ def perform(
     in_memory = outputs[0].sink is None
     table = memory.rows() if in_memory else recorders[0].last.reshape(-1, 1 + len(names))
     return Result(status, message, table[:, 0], names, table[:, 1:], statistics)
+
+
+def _set_up(
+    system: ResolvedSystem,
+    slaves: Sequence[Slave],
+    recorded: Sequence[Recorded],
+    experiment: Experiment,
+    kinds: Sequence[tuple[int, float | None]],
+) -> Session:
+    """The buffers, plans and bound calls of a run; start values have no part in it."""
+    coupling = experiment.chosen_coupling
+    ensemble = Ensemble(
+        system,
+        slaves,
+        recorded,
+        derivatives=coupling.needs_derivatives,
+        slopes=any(interval is not None for _, interval in kinds),
+        events=coupling.lands_on_events,
+    )
+    return Session(
+        ensemble,
+        coupling,
+        Columns(ensemble, recorded, latched=coupling.latches),
+        experiment.start_time,
+        experiment.stop_time,
+        experiment.tolerance,
+        experiment.max_steps,
+    )
 
 
 def _ended(

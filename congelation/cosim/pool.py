@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections import defaultdict, deque
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from operator import is_
 from types import TracebackType
 
+from congelation.cosim.session import Session
 from congelation.cosim.system import Member
 from congelation.errors import SlaveError
 from congelation.fmi.slave import Slave
 
 __all__ = ["SlavePool"]
+
+KEPT_SESSIONS = 8
+"""Runs of a study differ in start values alone, or in a coupling and its step as well."""
 
 
 class SlavePool:
@@ -22,6 +27,25 @@ class SlavePool:
 
     def __init__(self) -> None:
         self._idle: dict[tuple[str, str], list[Slave]] = defaultdict(list)
+        self._sessions: deque[tuple[object, Session]] = deque(maxlen=KEPT_SESSIONS)
+
+    def session(self, key: object, slaves: Sequence[Slave], make: Callable[[], Session]) -> Session:
+        """What is set up for a run: kept from an earlier run with these instances, or made.
+
+        Parameters
+        ----------
+        key : object
+            What it follows from besides the instances; it is compared with those of earlier runs.
+        slaves : sequence of Slave
+            Those that were lent.
+        make : callable
+        """
+        for known, session in self._sessions:
+            if known == key and all(map(is_, session.ensemble.slaves, slaves)):
+                return session
+        session = make()
+        self._sessions.append((key, session))
+        return session
 
     @contextmanager
     def lend(self, members: Sequence[Member]) -> Iterator[list[Slave]]:
@@ -47,6 +71,7 @@ class SlavePool:
             for slave in slaves:
                 slave.close()
         self._idle.clear()
+        self._sessions.clear()
 
     def __enter__(self) -> SlavePool:
         return self

@@ -150,7 +150,7 @@ class Trust:
 
     @classmethod
     def unknown(cls, reason: str, verdict: str = "unknown") -> Trust:
-        """Of a run whose error nobody can tell."""
+        """The error bars of a run whose error is unknown."""
         return cls(verdict, f"trust: the error is unknown: {reason}")
 
 

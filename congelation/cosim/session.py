@@ -5,81 +5,133 @@ from __future__ import annotations
 import math
 import time as clock
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-from congelation.cosim.compiled import CHUNK, Loop
+from congelation.cosim.compiled import CHUNK, CompiledHeld, CompiledPolynomials, Loop
 from congelation.cosim.coupling import Coupling, Stepper
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
-from congelation.cosim.recording import Rows
+from congelation.cosim.recording import Columns, Rows
 from congelation.cosim.result import RunEnded, Statistics, Status
+from congelation.cosim.system import ResolvedSystem
 
-__all__ = ["Progress", "Session", "just_before"]
+__all__ = ["NOTICE", "Notice", "Progress", "Session", "just_before"]
 
 Progress = Callable[[float], None]
 
 PROGRESS_PERIOD = 0.1
 """Seconds between reports of progress."""
 
+LOOK_PERIOD = 2.0
+"""Seconds over which the pace of a run is measured."""
+
+COLLAPSED = 1e5
+"""Steps that the rest of a run takes where its steps have collapsed."""
+
+PATIENCE = 30.0
+"""Seconds that the rest may take before anything is said."""
+
 UNITS_BEFORE = 8.0
 """Units in the last place between a jump and the point that counts as before it."""
 
 
+@dataclass
+class Notice:
+    """What the run under way in this process has to say of its steps: `line`, until whoever listens
+    to its progress takes it."""
+
+    line: str = ""
+
+    def taken(self) -> str:
+        """The line, which is then empty."""
+        line, self.line = self.line, ""
+        return line
+
+
+NOTICE = Notice()
+
+
 class Session:
-    """One run under way: what both loops share.
+    """One run under way: what both loops share. It can be kept for further runs that differ in
+    start values alone; see `begin`.
 
     Parameters
     ----------
     ensemble : Ensemble
     coupling : Coupling
+    columns : Columns
+        What is recorded.
     start, stop : float
         Seconds.
     tolerance : float or None
         For the step control.
     max_steps : int or None
-    rows : sequence of Rows
-    progress : callable or None
-        Called with the fraction done, about ten times a second.
 
     Attributes
     ----------
     stepper : Stepper
         There once `initialise` is done.
+    compiled : object
+        What makes the steps in C, or None; there once it was asked for, see `stepping`.
     steps, rejected, events, largest_error
         As in Statistics, `largest_error` for steps that are chosen by a tolerance.
+    exchange : Exchange
+    lands : bool
+        Whether communication points are placed on announced jumps.
     floors : int
         Steps whose error comes from the FMUs rather than from the step.
     """
 
     stepper: Stepper[Any]
+    compiled: CompiledHeld | CompiledPolynomials | None
+    rows: tuple[Rows, ...]
 
     def __init__(
         self,
         ensemble: Ensemble,
         coupling: Coupling,
+        columns: Columns,
         start: float,
         stop: float,
         tolerance: float | None,
         max_steps: int | None,
-        rows: Sequence[Rows],
-        progress: Progress | None,
     ) -> None:
         self.ensemble = ensemble
+        self.columns = columns
         self.start, self.stop = start, stop
-        self.steps = self.rejected = self.events = self.floors = 0
-        self.largest_error = 0.0
-        self._exchange = Exchange(ensemble)
+        self.exchange = Exchange(ensemble)
         self._coupling = coupling
         self._tolerance = tolerance
         self._max_steps = math.inf if max_steps is None else max_steps
         # A point on a jump makes a step of another length.
-        self._lands = coupling.lands_on_events and all(
+        self.lands = coupling.lands_on_events and all(
             member.description.can_vary_step for member in ensemble.system.members
         )
+
+    def begin(
+        self, system: ResolvedSystem, rows: Sequence[Rows], progress: Progress | None
+    ) -> None:
+        """Get ready for a run.
+
+        Parameters
+        ----------
+        system : ResolvedSystem
+            That of the ensemble, perhaps with other start values.
+        rows : sequence of Rows
+        progress : callable or None
+            Called with the fraction done, about ten times a second.
+        """
+        self.ensemble.begin(system)
+        self.steps = self.rejected = self.events = self.floors = 0
+        self.largest_error = 0.0
         self.rows = tuple(rows)
-        self._time = start
+        self._time = self.start
         self._progress = progress
         self._next_report = 0.0
+        NOTICE.line = ""
+        self._looked = clock.monotonic(), 0, self.start
+        self._next_look = math.inf if self._tolerance is None else self._looked[0] + LOOK_PERIOD
         self._is_initialised = False
 
     def initialise(self, slave_tolerance: float | None) -> Any:
@@ -105,18 +157,21 @@ class Session:
         for slave in ensemble.slaves:
             slave.enter_initialization()
             slave.require_no_error()
-        self._exchange.settle(self.start)
+        self.exchange.settle(self.start)
         for slave in ensemble.slaves:
             slave.require_no_error()
             slave.exit_initialization()
             slave.require_no_error()
         ensemble.stepping = True
         if ensemble.moves_derivatives:
-            self._exchange.run(self.start)
+            self.exchange.run(self.start)
         ensemble.read_all()
         ensemble.check(self.start)
         ensemble.calls = 0
-        self.stepper = self._coupling.stepper(ensemble, self._exchange, self._tolerance)
+        if "stepper" in vars(self):
+            self.stepper.renew()
+        else:
+            self.stepper = self._coupling.stepper(ensemble, self.exchange, self._tolerance)
         state = self.stepper.start(self.start, None)
         self._is_initialised = True
         for rows in self.rows:
@@ -128,7 +183,7 @@ class Session:
 
         It is at most the stop time, or infinite; within rounding of the stop time it is there.
         """
-        event = self.ensemble.next_event(time) if self._lands else math.inf
+        event = self.ensemble.next_event(time) if self.lands else math.inf
         if event > self.stop:
             return math.inf
         return event if event < just_before(self.stop) else self.stop
@@ -155,7 +210,7 @@ class Session:
         for slave in ensemble.slaves:
             slave.step(before, after - before)
         ensemble.calls += sum(ensemble.write_calls) + len(ensemble.slaves)
-        self._exchange.run(after)
+        self.exchange.run(after)
         state = self.stepper.start(after, state)
         self.events += 1
         ensemble.check(after)
@@ -184,25 +239,47 @@ class Session:
                 f"{self.steps} steps (and {self.rejected} taken back) reached t = {time:.9g} of "
                 f"{self.stop:.9g}; the last one was {length:.3g} s long",
             )
-        if self._progress is not None and clock.monotonic() >= self._next_report:
+        if self._progress is not None and (now := clock.monotonic()) >= self._next_report:
+            if now >= self._next_look:
+                self._look(now)
             self.report((time - self.start) / (self.stop - self.start))
 
-    def took(self, loop: Loop, time: float) -> None:
-        """Count what the compiled loop did, up to the communication point `time`.
+    def _look(self, now: float) -> None:
+        """Say, once, that the steps have become so short that the rest takes long."""
+        before, steps, time = self._looked
+        self._looked = now, self.steps, self._time
+        self._next_look = now + LOOK_PERIOD
+        length = (self._time - time) / max(self.steps - steps, 1)
+        left = (self.stop - self._time) / max(length, math.ulp(self._time), math.ulp(0.0))
+        seconds = left * (now - before) / max(self.steps - steps, 1)
+        if left > COLLAPSED and seconds > PATIENCE:
+            duration = f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.3g} min"
+            NOTICE.line = (
+                f"at t = {self._time:.6g} of {self.stop:.6g} s the steps are {length:.2g} s long: "
+                f"the rest takes {left:.1g} steps and about {duration}; a larger tolerance makes "
+                "them longer, max_steps or --timeout ends the run"
+            )
+            self._next_look = math.inf
+
+    def took(self, loop: Loop) -> None:
+        """Count what the compiled loop did.
 
         Raises
         ------
         RunEnded
             TOO_MANY_STEPS.
         """
-        if loop.steps:
-            self._time = loop.time  # where the last step began
-            self.steps += loop.steps - 1
         self.rejected += loop.rejected
+        self.events += loop.events_crossed
+        self.floors += loop.floors
+        self.ensemble.calls += loop.calls
         self.stepper.iterations += loop.passes
         self.largest_error = max(self.largest_error, loop.largest_error)
         if loop.steps:
-            self._count(time)
+            if loop.steps > 1:
+                self._time = loop.counted_before
+            self.steps += loop.steps - 1
+            self._count(loop.counted)
 
     @property
     def most(self) -> int:

@@ -11,13 +11,14 @@ import numpy.typing as npt
 
 from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.ensemble import Ensemble
+from congelation.cosim.exchange import settle_discrete
 
 __all__ = ["Halving", "StepSize", "halved", "is_floor"]
 
 Floats = npt.NDArray[np.float64]
 
 ORDER_HELD = 2
-"""Of the couplings with inputs held at their mean: the error of one step falls with one power
+"""Order of the couplings that hold inputs at their mean; the error of one step falls with one power
 more."""
 
 
@@ -107,7 +108,7 @@ def halved(
         values = ensemble.Y[ensemble.source]
         if not math.isfinite(first.error):
             return first, values
-        ensemble.copy_discrete()
+        settle_discrete(ensemble, between)
         ensemble.level = 1
         try:
             ensemble.save()

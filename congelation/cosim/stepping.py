@@ -14,17 +14,20 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.compiled import (
+    DONE,
+    FULL,
     NOT_FINITE,
-    REFUSED,
     UNUSUAL,
     CompiledHeld,
     CompiledPolynomials,
+    available,
     fits,
 )
 from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.coupling.derivative import DerivativeStepper
 from congelation.cosim.coupling.held import GaussSeidelStepper, JacobiStepper
 from congelation.cosim.coupling.hermite import HermiteStepper
+from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session, just_before
@@ -39,13 +42,13 @@ STRETCH = 1.1
 """A step is stretched by so much to reach its target, rather than leave a tiny one."""
 
 FIRST_SHARE = 1e-2
-"""Of the horizon: the longest first step."""
+"""Longest first step, as a part of the horizon."""
 
 SMALLEST_STEP = 16.0
-"""In units in the last place of time: below it, time does not resolve a step."""
+"""Smallest step, in units in the last place of the time: time does not resolve a shorter one."""
 
 SMALLEST_SHARE = 1e-15
-"""Of the horizon: the same near t = 0, where doubles resolve times of no meaning."""
+"""The same as a part of the horizon, for t near 0, where doubles resolve times of no meaning."""
 
 
 def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
@@ -64,17 +67,17 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
     """
     near, advance, record = points.near, session.stepper.advance, session.record
     event = session.next_event(session.start)
-    compiled = _compiled_fixed(session)
+    compiled = _compiled(session, None)
     time, k = session.start, 0
     while len(ends := points.after(k, session.most)):
         if compiled is not None:
             # Up to the point that a jump comes before.
             until = int(np.searchsorted(ends + near, event))
-            state, made = _made(session, compiled, state, time, ends[:until])
+            state, made, code = _made(session, compiled, state, time, ends[:until])
             k += made
             if made:
                 time = float(ends[made - 1])
-            if made == until < len(ends):
+            if code == UNUSUAL or made == until < len(ends):
                 ends = ends[made : made + 1]
             else:
                 continue
@@ -98,27 +101,15 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
                 time = end
 
 
-def _compiled_fixed(session: Session) -> CompiledHeld | CompiledPolynomials | None:
-    """The compiled loop for fixed steps, if this is a run that it makes."""
-    stepper, ensemble, rows = session.stepper, session.ensemble, session.rows
-    if not fits(ensemble, rows):
-        return None
-    if isinstance(stepper, JacobiStepper | GaussSeidelStepper):
-        return CompiledHeld(ensemble, rows, sequential=stepper.sequential)
-    if isinstance(stepper, DerivativeStepper) and (ahead := stepper.plan()) is not None:
-        horizon = session.stop - session.start
-        return CompiledPolynomials(ensemble, rows, ahead, 1.0, horizon)
-    return None
-
-
 def _made(
     session: Session,
     compiled: CompiledHeld | CompiledPolynomials,
     state: Any,
     time: float,
     ends: Floats,
-) -> tuple[Any, int]:
-    """The state after steps by the compiled loop, and how many it made, up to all of `ends`.
+) -> tuple[Any, int, int]:
+    """The state after steps by the compiled loop, how many it made, up to all of `ends`, and why it
+    ended.
 
     Raises
     ------
@@ -126,7 +117,7 @@ def _made(
         What ended the run; Python says which value it is, or what an FMU has said.
     """
     if not len(ends):
-        return state, 0
+        return state, 0, DONE
     if isinstance(compiled, CompiledHeld):
         code = compiled.run(time, ends)
     else:
@@ -135,13 +126,13 @@ def _made(
     at = float(ends[made - 1]) if made else time
     if made and isinstance(session.stepper, DerivativeStepper):
         session.stepper.watch.passed(at, state.now)
-    session.took(compiled.loop, at)
-    if code == REFUSED:
-        compiled.refuse()
+    session.took(compiled.loop)
     if code == NOT_FINITE:
         session.record(float(ends[made]))
         made += 1
-    return state, made
+    elif code not in (DONE, FULL, UNUSUAL):
+        compiled.raise_for(code, float(ends[made]))
+    return state, made, code
 
 
 def run_adaptive(
@@ -169,27 +160,22 @@ def run_adaptive(
     guess = min(stepper.first_step(state), FIRST_SHARE * horizon)
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
-    compiled = _compiled_adaptive(session, tolerance)
+    event = session.next_event(time)
+    compiled = _compiled(session, tolerance)
+    assert not isinstance(compiled, CompiledHeld)  # which takes no tolerance
     while time < session.stop:
-        event = session.next_event(time)
+        if compiled is not None:
+            code, state, size, time, event = compiled.adaptive(
+                state, size, time, event, halving, session.most
+            )
+            session.took(compiled.loop)
+            compiled.raise_for(code, event)
+            if code != UNUSUAL:
+                continue
         target = min(session.stop, just_before(event))
-        while time < target:
-            if compiled is not None:
-                code, state, size, time = compiled.adaptive(
-                    state,
-                    size,
-                    time,
-                    target,
-                    most=session.most,
-                    records_target=math.isinf(event),
-                )
-                session.took(compiled.loop, time)
-                if code == REFUSED:
-                    compiled.refuse()
-                if code != UNUSUAL:
-                    continue
+        if time < target:
             ensemble.save()
-            refused: tuple[float, float] | None = None
+            refused = None if compiled is None else compiled.refused
             while True:
                 end = _end(time, size.length, target)
                 trial, error = _tried(session, stepper, state, time, end, tolerance, halving)
@@ -211,7 +197,7 @@ def run_adaptive(
                 ensemble.restore()
                 session.rejected += 1
                 size = size.refused(error, end - time, trial.order if trial else 1)
-            ensemble.copy_discrete()
+            settle_discrete(ensemble, end)
             state = trial.state
             session.largest_error = max(session.largest_error, trial.error)
             if stepper.halves:
@@ -219,24 +205,52 @@ def run_adaptive(
             time = end
             if time < target or math.isinf(event):
                 session.record(time)
-        if math.isfinite(event):
+        else:
             state = session.cross(state, time, event)
             time = event
             size = size.restarted(min(size.length, stepper.first_step(state)))
+            event = session.next_event(time)
 
 
-def _compiled_adaptive(session: Session, tolerance: float) -> CompiledPolynomials | None:
-    """The compiled loop for steps chosen by a tolerance, if this is a run that it makes."""
-    stepper, rows = session.stepper, session.rows
-    if not isinstance(stepper, HermiteStepper | DerivativeStepper) or not fits(
-        session.ensemble, rows
-    ):
+def _compiled(
+    session: Session, tolerance: float | None
+) -> CompiledHeld | CompiledPolynomials | None:
+    """The compiled loop, if this is a run that it makes; kept from run to run."""
+    if not available():
         return None
-    plan = stepper.plan()
-    if plan is None:
+    if "compiled" not in vars(session):
+        session.compiled = _new_compiled(session, tolerance)
+    elif session.compiled is not None:
+        session.compiled.renew(session.rows)
+    return session.compiled
+
+
+def _new_compiled(
+    session: Session, tolerance: float | None
+) -> CompiledHeld | CompiledPolynomials | None:
+    stepper, ensemble, rows, exchange = (
+        session.stepper,
+        session.ensemble,
+        session.rows,
+        session.exchange,
+    )
+    if not fits(ensemble, session.columns):
         return None
-    horizon = session.stop - session.start
-    return CompiledPolynomials(session.ensemble, rows, plan, tolerance, horizon)
+    if isinstance(stepper, JacobiStepper | GaussSeidelStepper):
+        return CompiledHeld(ensemble, rows, exchange, sequential=stepper.sequential)
+    if not isinstance(stepper, HermiteStepper | DerivativeStepper):
+        return None
+    return CompiledPolynomials(
+        ensemble,
+        rows,
+        exchange,
+        session.lands,
+        stepper.plan(),
+        1.0 if tolerance is None else tolerance,
+        stepper.first_change,
+        session.start,
+        session.stop,
+    )
 
 
 def _end(time: float, length: float, target: float) -> float:

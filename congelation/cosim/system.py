@@ -153,6 +153,11 @@ class ResolvedSystem:
     links: tuple[Link, ...]
     discrete_links: tuple[Link, ...]
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the members."""
+        return tuple(member.name for member in self.members)
+
     def recorded(self, names: Sequence[str] | None) -> tuple[Recorded, ...]:
         """The variables to record; with None, every number among the outputs.
 
@@ -224,16 +229,29 @@ class System:
                     f"component '{member.name}': {member.description.path.name} "
                     "can be instantiated only once per process"
                 )
-        links = [
-            link for connection in self.connections for link in _links(connection, members, names)
-        ]
-        links = _without_implied(links)
-        _check_single_source(links)
-        return ResolvedSystem(
-            members,
-            tuple(link for link in links if link.input.type == "Real"),
-            tuple(link for link in links if link.input.type != "Real"),
-        )
+        # The runs of a study have connections in common, whose names are found once.
+        key = (tuple((m.name, m.description.sha256) for m in members), tuple(self.connections))
+        if key not in _LINKS:
+            links = [
+                link
+                for connection in self.connections
+                for link in _links(connection, members, names)
+            ]
+            links = _without_implied(links)
+            _check_single_source(links)
+            while len(_LINKS) >= KEPT_SYSTEMS:
+                _LINKS.pop(next(iter(_LINKS)))
+            _LINKS[key] = (
+                tuple(link for link in links if link.input.type == "Real"),
+                tuple(link for link in links if link.input.type != "Real"),
+            )
+        return ResolvedSystem(members, *_LINKS[key])
+
+
+KEPT_SYSTEMS = 64
+"""Whose links are kept."""
+
+_LINKS: dict[object, tuple[tuple[Link, ...], tuple[Link, ...]]] = {}
 
 
 def derivative_name(name: str, order: int) -> str:

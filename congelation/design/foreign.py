@@ -38,7 +38,7 @@ RUNS = 300
 """Runs of one search at effort 1."""
 
 FINER = 0.1
-"""Of the tolerance and the step, in the run that verifies a find."""
+"""Factor on the tolerance and the step in the run that verifies a find."""
 
 SOURCE = "ScalarPlant.fmu"
 

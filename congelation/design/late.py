@@ -41,7 +41,7 @@ STRUCK = 6
 """Strikes, those of the fastest growth, that are simulated; the best is then refined."""
 
 NEAR = 0.98
-"""Of strikes whose values differ by less, relatively, the earliest is refined."""
+"""Strikes within this ratio of the best value count as equal; the earliest of them is refined."""
 
 ESTIMATES = ("theta_hat", "rho_hat")
 """States that stay where they are when the others are at rest."""

@@ -25,7 +25,7 @@ Profiles = dict[str, list[dict[str, object]]]
 """The table ``profile`` of a component: terms by ``theta[j]``."""
 
 TOLERANCE = 1e-6
-"""Of the experiment, where the attacked scenario states a step instead: it has to follow bursts."""
+"""Tolerance of the run if the attacked scenario states a step, which may miss bursts."""
 
 LATE = "peak_late"
 """Name of the metric that measures a late burst."""

@@ -54,7 +54,7 @@ class Admissible:
 
     @property
     def radius(self) -> float:
-        """Of the smallest ball about the center that holds the set."""
+        """Radius of the smallest ball about the center that holds the set."""
         return float(np.linalg.norm(self.half)) if self.ball is None else self.ball.delta
 
     def worst(self, gradient: Floats) -> Floats:
@@ -227,6 +227,11 @@ def problem_of(scenario: Scenario, variant: str) -> Problem:
     settings = next(v.settings for v in scenario.variants if v.name == variant)
     case = scenario.case(settings)
     found = reference(case)
+    if found.loop.controller.Upsilon is not None:
+        raise InvalidInput(
+            f"{variant}: its controller knows a part of theta(t), Upsilon(t) vartheta, which an "
+            "attack would break; attack a variant without Upsilon"
+        )
     bounds = np.array([profile.bounds() for profile in found.profiles], dtype=float)
     if not np.isfinite(bounds).all():
         raise InvalidInput(f"{variant}: theta(t) has no bounds; give a profile that has")

@@ -43,10 +43,10 @@ REACH = 2.0
 CERTIFY_SAMPLES = 1000
 
 SHARES = (0.4, 0.2, 0.2, 0.2)
-"""Of the evaluations: for the wishes as they are, and with emphasis on each objective."""
+"""Parts of the evaluations for the wishes as they are, then with emphasis on each objective."""
 
 EMPHASIS = 0.25
-"""An emphasised wish is asked for with so much of its value."""
+"""Factor by which the value of an emphasised wish is multiplied."""
 
 NEAR = 5.0
 """Designs of the front are listed if each objective is at most so many times its wish."""

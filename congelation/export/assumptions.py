@@ -3,12 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
 
 from congelation.export.spec import Spec
 from congelation.signals import Profile
 from congelation.theory.assumptions import KnownTheta, Remark, remarks_on
+from congelation.theory.model import Model
 
-__all__ = ["degree_of", "known_theta", "spec_assumptions", "spec_warnings"]
+__all__ = [
+    "HORIZON",
+    "Structured",
+    "degree_of",
+    "known_theta",
+    "of_rest",
+    "spec_assumptions",
+    "spec_warnings",
+    "structured",
+]
+
+Floats = NDArray[np.float64]
 
 _UNSURE = {
     "table": "is read from a table, which may be exchanged",
@@ -16,6 +33,30 @@ _UNSURE = {
     "noise": "has a random term",
 }
 """Terms whose values are not in the formula of the profile, and what is said of them."""
+
+HORIZON = 100.0
+"""Seconds over which theta(t) is compared with Upsilon(t) vartheta where no stop time is stated."""
+
+FITTED, COMPARED = 400, 8000
+"""Times at which vartheta is fitted, and at which the size of the rest is looked at."""
+
+FIT_ROUNDING = 1e-9
+"""A rest of this size, relative to theta(t), is the rounding of the fit and not a rest."""
+
+
+@dataclass(frozen=True)
+class Structured:
+    """theta(t) = Upsilon(t) vartheta + theta_u(t), with the vartheta that leaves least of theta_u.
+
+    Attributes
+    ----------
+    vartheta : ndarray, shape (q,)
+    radii : ndarray, shape (p,)
+        The largest |theta_u| of each element, as far as the times looked at show.
+    """
+
+    vartheta: Floats
+    radii: Floats
 
 
 def spec_assumptions(spec: Spec) -> tuple[Remark, ...]:
@@ -28,14 +69,17 @@ def spec_assumptions(spec: Spec) -> tuple[Remark, ...]:
             return f'plant.profile."{name}"'
         return f"controller.start.{name}"
 
-    model = spec.controller.model
+    model, offsets = spec.controller.model, (0.0,) * len(profiles)
+    known = known_theta(profiles, offsets, absent)
+    split = structured(model, profiles, offsets)
     return remarks_on(
         model.defaults() | {f"{s.variables.name}0": s.start for s in model.states},
-        known_theta(profiles, (0.0,) * len(profiles), absent),
+        known if split is None else of_rest(known, split),
         degree_of(spec.form, spec.structure),
         place,
         spec.controller.stated,
         varying_gain=spec.structure.get("gain") == "varying",
+        constants=None if split is None else split.vartheta,
     )
 
 
@@ -47,6 +91,68 @@ def spec_warnings(spec: Spec) -> tuple[str, ...]:
 def degree_of(form: str, structure: Mapping[str, object]) -> int | None:
     """m of the plant (27), or None for the forms that have no b."""
     return int(str(structure["m"])) if form == "observer" else None
+
+
+def structured(
+    controller: Model,
+    profiles: Sequence[Profile],
+    offsets: Sequence[float],
+    start: float = 0.0,
+    stop: float = HORIZON,
+) -> Structured | None:
+    """The split of theta(t) for a law that knows Upsilon(t); None for any other.
+
+    vartheta is the one of the least sum of the largest |theta_u| of each element, by linear
+    programming, or by least squares where that leaves nothing.
+
+    Parameters
+    ----------
+    controller : Model
+    profiles, offsets : sequence
+        Of each element of the plant's theta, and the constant dtheta added to it.
+    start, stop : float
+        Seconds.
+    """
+    if controller.Upsilon is None:
+        return None
+    (t,) = (s.variables.symbol for s in controller.states if s.variables.name == "t")
+    p, q = controller.Upsilon.shape
+    function = ca.Function("Upsilon", [t], [ca.densify(controller.Upsilon)])
+    # Times at irrational distances, so that no period is met at the same phase again and again.
+    times = start + (stop - start) * np.sort(np.arange(COMPARED) * 0.6180339887498949 % 1.0)
+    Upsilon = np.array([np.asarray(function(time)).reshape(p, q) for time in times])
+    theta = np.array(
+        [[profiles[i].value(time) + offsets[i] for i in range(p)] for time in times.tolist()]
+    )
+    fitted = slice(None, None, COMPARED // FITTED)
+    A, b = Upsilon[fitted].reshape(-1, q), theta[fitted].ravel()
+    vartheta = np.linalg.lstsq(A, b, rcond=None)[0]
+    rest = np.abs(theta - Upsilon @ vartheta).max(axis=0)
+    if not (rest > FIT_ROUNDING * (1 + np.abs(theta).max())).any():
+        return Structured(vartheta, np.zeros(p))
+    from scipy.optimize import linprog  # here, as no other spec needs it
+
+    # Unknowns: vartheta, then the largest |theta_u| of each element.
+    reach = np.tile(np.eye(p), (len(A) // p, 1))
+    found = linprog(
+        np.concatenate([np.zeros(q), np.ones(p)]),
+        A_ub=np.block([[A, -reach], [-A, -reach]]),
+        b_ub=np.concatenate([b, -b]),
+        bounds=[(None, None)] * q + [(0, None)] * p,
+    )
+    if found.success:
+        vartheta = found.x[:q]
+    return Structured(vartheta, np.abs(theta - Upsilon @ vartheta).max(axis=0))
+
+
+def of_rest(known: KnownTheta, split: Structured) -> KnownTheta:
+    """What is known of theta_u(t), and of the input gain b(t) where theta ends with one."""
+    p = len(split.radii)
+    return replace(
+        known,
+        low=(*(-split.radii).tolist(), *known.low[p:]),
+        high=(*split.radii.tolist(), *known.high[p:]),
+    )
 
 
 def known_theta(

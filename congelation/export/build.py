@@ -21,6 +21,7 @@ from pythonfmu.builder import FmuBuilder, get_model_description
 from congelation.errors import CongelationError, DesignWarning, InvalidInput
 from congelation.export.archive import write_archive
 from congelation.export.assumptions import spec_warnings
+from congelation.export.c_code import controller_code
 from congelation.export.model_description import complete
 from congelation.export.native import native_fmu
 from congelation.export.spec import BlockSpec, FmuSpec, Spec, read_buildable
@@ -45,7 +46,10 @@ _TOOLS = ("congelation", "casadi", "pythonfmu", "fmpy")
 
 
 def build(
-    *specs: Spec | BlockSpec | Path | str, out: Path | str = "fmus", native: bool = False
+    *specs: Spec | BlockSpec | Path | str,
+    out: Path | str = "fmus",
+    native: bool = False,
+    c_code: bool = False,
 ) -> list[Path]:
     """Build the FMUs of specs: a plant and a controller each, or a block.
 
@@ -61,18 +65,21 @@ def build(
     native : bool
         Build their native twins instead, which need no Python where they run, into the folder
         ``native`` of `out`.
+    c_code : bool
+        Write the bare controllers as C for sampled control instead, each into a folder of its name
+        in the folder ``c`` of `out`: controller.h, controller.c and an example main.c.
 
     Returns
     -------
     list of Path
-        The .fmu files: the plant and the controller (or the block) of the first spec, of the
-        second, and so on.
+        The .fmu files, or the C files: the plant and the controller (or the block) of the first
+        spec, of the second, and so on.
 
     Raises
     ------
     InvalidInput
-        A spec is wrong, two FMUs have one name, nothing can be written to `out`, or a native
-        FMU is asked for of what has none.
+        A spec is wrong, two FMUs have one name, nothing can be written to `out`, a native FMU or C
+        code is asked for of what has none, or both at once.
     CongelationError
         A native FMU cannot be compiled.
 
@@ -87,7 +94,9 @@ def build(
     >>> [path.name for path in paths]
     ['ScalarPlant.fmu', 'ScalarController.fmu']
     """
-    folder = Path(out) / "native" if native else Path(out)
+    if native and c_code:
+        raise InvalidInput("--native and --c-code: give one of the two; they are different builds")
+    folder = Path(out) / ("native" if native else "c" if c_code else "")
     if not specs:
         raise InvalidInput("no spec is given; name one or more, such as specs/f16_pitch.toml")
     check_folder("--out", folder)
@@ -104,6 +113,11 @@ def build(
                     f"spec '{spec.name}': '{fmu.name}' is an FMU of spec '{other.name}' too; give "
                     "it another name, or build into another folder"
                 )
+        if c_code and isinstance(spec, BlockSpec):
+            raise InvalidInput(
+                f"spec '{spec.name}': a block has no controller to write as C; build it without "
+                "--c-code"
+            )
     for spec in read:
         for line in spec_warnings(spec) if isinstance(spec, Spec) else ():
             warnings.warn(f"spec '{spec.name}': {line}", DesignWarning, stacklevel=2)
@@ -111,6 +125,10 @@ def build(
     try:
         for spec in read:
             for fmu in spec.fmus:
+                if c_code:
+                    if fmu.role == "controller":
+                        paths += controller_code(fmu, folder / fmu.name)
+                    continue
                 paths.append(_build_fmu(fmu, spec, folder, native))
                 _update_manifest(folder / "manifest.json", paths[-1], fmu, spec)
     except OSError as error:

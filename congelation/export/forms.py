@@ -134,6 +134,7 @@ def _options(structure: Structure) -> Options:
         varying_gain=structure.get("gain", "constant") == "varying",
         unknown_radius=structure.get("radius", "known") == "estimated",
         bound_estimator=structure.get("law", "congelation") == "bound-estimator",
+        Upsilon=tuple(tuple(row) for row in structure.get("Upsilon", ())),
     )
 
 
@@ -176,11 +177,11 @@ FORMS: Mapping[str, Form] = {
         lambda s, law: matched_controller(s["A"], s["B"], law),
     ),
     "strict-feedback": Form(
-        ("n", "p", "phibar", "phi", "gain", "tracking", "radius", "law"),
+        ("n", "p", "phibar", "phi", "gain", "tracking", "radius", "law", "Upsilon"),
         lambda s: strict_feedback_plant(_regressors(s), _options(s).varying_gain),
         _state_feedback,
-        dict.fromkeys(("phibar", "phi", "gain", "tracking", "radius", "law")),
-        ("tracking", "radius", "law"),
+        dict.fromkeys(("phibar", "phi", "gain", "tracking", "radius", "law", "Upsilon")),
+        ("tracking", "radius", "law", "Upsilon"),
     ),
     "observer": Form(
         ("n", "m", "filter", "tracking", "radius", "gain", "law"),

@@ -213,7 +213,7 @@ def _array(declaration: str, rows: Iterable[str]) -> list[str]:
 
 
 def _terms(fields: dict[str, int] | object, place: dict[int, int]) -> Iterable[tuple[int, int]]:
-    """Of each kind of term: how many there are, and the constant of the first one's first field."""
+    """The number of terms of each kind, and the constant of the first one's first field."""
     assert isinstance(fields, dict)
     for kind in ("sine", "square", "chirp", "telegraph", "noise"):
         own = [vr for name, vr in fields.items() if name.startswith(f"{kind}[")]

@@ -30,6 +30,8 @@ The forms and the keys of their structure:
                        or phi: formulas, {1 = ["x[1]**2", "sin(x[1])"]}, p in each row;
                        gain = "varying": the input gain b(t) is the last element of theta;
                        tracking, radius = "estimated": what the law is to cope with;
+                       Upsilon: formulas in t of what is known of theta(t),
+                       {1 = ["1", "sin(2*t)"]}, as many in each of p rows;
                        law = "bound-estimator": a rival of congelation
     observer           n, m, filter: (27), with the "iss" or the "standard" K-filter;
                        tracking, radius as above; law = "filtered-transformation": a rival
@@ -62,7 +64,6 @@ from __future__ import annotations
 import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -73,7 +74,7 @@ from congelation.errors import InvalidInput
 from congelation.export.equations import Special
 from congelation.export.forms import BLOCKS, FORMS, BlockForm, Form, Structure
 from congelation.export.interface import ProfileSlots, profiled_names
-from congelation.fmi.units import base_unit
+from congelation.export.spec_units import read_units
 from congelation.signals import Profile, Slots
 from congelation.theory.model import Model
 from congelation.theory.values import complete_values
@@ -82,8 +83,6 @@ from congelation.toml import Section, read_document
 __all__ = ["BlockSpec", "FmuSpec", "Role", "Spec", "read_buildable", "read_spec"]
 
 Role = Literal["plant", "controller", "block"]
-
-Units = Mapping[str, str | list[str]]
 
 
 @dataclass(frozen=True)
@@ -211,14 +210,17 @@ def read_buildable(file: Path) -> Spec | BlockSpec:
         block = BLOCKS[name]
         structure = _structure(read["structure"], block)
         model = top.attempt("structure", lambda: block.model(structure))
-        measured = model.with_units(_units(read["units"], model))
+        measured = model.with_units(read_units(read["units"], name, structure, model))
         fmu = _profiled(read["block"], measured, file.parent, block.room)
         fmu = replace(fmu, role="block", run_time=block.run_time)
         return BlockSpec(file.stem, title, name, structure, fmu)
     form = FORMS[name]
     structure = _structure(read["structure"], form)
     plant, controller, special = top.attempt("structure", lambda: form.models(structure))
-    units = _units(read["units"], plant, controller)
+    units = read_units(read["units"], name, structure, plant, controller)
+    if "Upsilon" in structure and "theta_hat" not in read["units"].data:
+        # Estimated is vartheta, whose units are not those of theta.
+        units = {name: unit for name, unit in units.items() if name != "theta_hat"}
     sections = read["plant"], read["controller"]
     if structure.get("radius") == "estimated" and "delta" in sections[1].section("start").data:
         raise (
@@ -285,6 +287,20 @@ def _phi(section: Section, key: str) -> list[list[str]]:
     return rows
 
 
+def _upsilon(section: Section, key: str) -> list[list[str]]:
+    """Upsilon(t) from a table ``i = [..q formulas..]`` with the rows 1 .. p."""
+    p = section.value(keys.STRUCTURE["p"])
+    places = [str(i) for i in range(1, p + 1)]
+    table = section.section(key).only(places).require(*places)
+    rows: list[list[str]] = []
+    for place in places:
+        value = table.data[place]
+        if not isinstance(value, list) or not value or (rows and len(value) != len(rows[0])):
+            raise table.wrong(place, 'formulas such as "sin(2*t)", as many in each row')
+        rows.append([str(formula) for formula in value])
+    return rows
+
+
 def _numbers(section: Section, key: str) -> object:
     try:
         numbers = np.asarray(section.data[key], dtype=float)
@@ -295,30 +311,7 @@ def _numbers(section: Section, key: str) -> object:
     return numbers.tolist()
 
 
-_READERS = {"phibar": _phibar, "phi": _phi, "A": _numbers, "B": _numbers}
-
-
-def _units(section: Section, *models: Model) -> Units:
-    """The units of variables by name; those of theta hold for its estimate too."""
-    sizes: dict[str, int] = {}
-    for model in models:
-        groups = [i.variables for i in model.inputs] + [y.variables for y in model.outputs]
-        groups += [] if model.profiled is None else [model.profiled]
-        sizes.update({v.name: len(v.names) for v in groups})
-    units: dict[str, str | list[str]] = {}
-    for name, value in section.only(sizes).data.items():
-        names = [value] if isinstance(value, str) else value
-        if not isinstance(names, list) or (value is names and len(names) != sizes[name]):
-            raise section.wrong(name, f"a unit, or {sizes[name]} of them")
-        for unit in map(str, names):
-            section.attempt(name, partial(base_unit, unit or "1"))
-        units[name] = value if isinstance(value, str) else [str(unit) for unit in names]
-    if "theta" in units and "theta_hat" in sizes:
-        # An input gain b(t) is an element of theta, but none of theta_hat.
-        shared = units["theta"]
-        own = shared if isinstance(shared, str) else shared[: sizes["theta_hat"]]
-        return {"theta_hat": own, **units}
-    return units
+_READERS = {"phibar": _phibar, "phi": _phi, "Upsilon": _upsilon, "A": _numbers, "B": _numbers}
 
 
 def _block(section: Section, model: Model, special: Special | None) -> FmuSpec:

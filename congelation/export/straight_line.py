@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-__all__ = ["Block", "c_functions", "constants_and_functions"]
+__all__ = ["Block", "c_function", "c_functions", "constants_and_functions", "operations"]
 
 _BINARY: dict[int, str] = {
     ca.OP_ADD: "({0} + {1})",
@@ -82,6 +82,19 @@ _LOOSE = (
     ca.OP_TWICE,
     ca.OP_SQ,
     ca.OP_INV,
+)
+# Functions of the C library that take many operations of the processor.
+_CALLS = (
+    ca.OP_POW,
+    ca.OP_CONSTPOW,
+    ca.OP_ATAN2,
+    ca.OP_HYPOT,
+    ca.OP_EXP,
+    ca.OP_LOG,
+    ca.OP_SIN,
+    ca.OP_COS,
+    ca.OP_TAN,
+    ca.OP_TANH,
 )
 # Operators whose text repeats an operand: it must then be a name.
 _REPEATING = (ca.OP_SQ, ca.OP_SIGN)
@@ -193,6 +206,21 @@ def c_functions(
     ]
 
 
+def c_function(block: Block) -> list[str]:
+    """C source lines of a block that depends on its arguments alone: ``name(x, .., result)``."""
+    _, function = _Writer((), block, prefix="", c=True).write()
+    return function
+
+
+def operations(block: Block) -> tuple[int, int, int]:
+    """What one call of `c_function` costs: sums, products and comparisons; divisions and square
+    roots; functions."""
+    varying = [n for n in _Writer((), block, "").nodes if not n.fixed and n.operands]
+    slow = sum(n.operation in (ca.OP_DIV, ca.OP_INV, ca.OP_SQRT) for n in varying)
+    called = sum(n.operation in _CALLS for n in varying)
+    return len(varying) - slow - called, slow, called
+
+
 class _Writer:
     """Writes one block; a current state is held only while it is being written."""
 
@@ -202,6 +230,7 @@ class _Writer:
         self._block = block
         self._prefix = prefix
         self._unary, self._binary = (_C_UNARY, _C_BINARY) if c else (_UNARY, _BINARY)
+        self._c = c
         self._declaration = "const double " if c else ""
         groups = [
             [f"{name}[{i}]" for i in range(len(symbols))] if c else _names_of(name, symbols)
@@ -215,6 +244,11 @@ class _Writer:
         self._nodes: list[_Node] = []
         self._results: list[int] = [self._constant(0.0)] * len(block.results)
         self._read_graph()
+
+    @property
+    def nodes(self) -> Sequence[_Node]:
+        """The operations, in the order in which they are done."""
+        return self._nodes
 
     def _constant(self, value: float) -> int:
         self._nodes.append(_Node(ca.OP_CONST, (), repr(float(value)), fixed=True))
@@ -249,7 +283,8 @@ class _Writer:
         return len(self._nodes) - 1
 
     def write(self, owner: str | None = None) -> tuple[list[str], list[str]]:
-        """The lines to evaluate once, and those of the function: in C where it has an owner."""
+        """The lines to evaluate once, and those of the function; in C, `owner` is the struct of
+        the former, if there is one."""
         needed_by_function = self._fixed_nodes_needed()
         repeated = {i for n in self._nodes if n.operation in _REPEATING for i in n.operands}
         fixed_lines: list[str] = []
@@ -271,7 +306,7 @@ class _Writer:
                 node.text, node.operation = name, ca.OP_INPUT
             else:
                 node.text = text
-        if owner is not None:
+        if self._c:
             return fixed_lines, self._c_function(owner, body)
         returned = ", ".join(_unbracketed(self._nodes[i].text) for i in self._results)
         comma = "," if len(self._results) == 1 else ""
@@ -283,17 +318,20 @@ class _Writer:
             f"    return ({returned}{comma})",
         ]
 
-    def _c_function(self, owner: str, body: list[str]) -> list[str]:
+    def _c_function(self, owner: str | None, body: list[str]) -> list[str]:
         arrays = [name for name, _ in self._block.arguments]
-        arguments = "".join(f", const double *{name}" for name in arrays)
-        unused = ", ".join(f"(void){name}" for name in ("b", *arrays))
+        arguments = [f"const double *{name}" for name in arrays]
+        name = self._block.name
+        if owner is not None:
+            arrays, name = ["b", *arrays], f"{owner}_{name}"
+            arguments = [f"const struct {owner} *b", *arguments]
+        unused = ", ".join(f"(void){array}" for array in (*arrays, "result"))
         texts = [_unbracketed(self._nodes[i].text) for i in self._results]
         return [
             f"/* {self._block.doc} */",
-            f"static void {owner}_{self._block.name}(const struct {owner} *b{arguments}, "
-            "double *result)",
+            f"static void {name}({', '.join((*arguments, 'double *result'))})",
             "{",
-            f"    {unused}, (void)result;",
+            f"    {unused};",
             *(f"    {line};" for line in body),
             *(f"    result[{i}] = {text};" for i, text in enumerate(texts)),
             "}",

@@ -32,8 +32,9 @@ RESERVE = 1.25
 """r of the K-filter over the smallest feasible one: near that, its gains grow without bound."""
 
 PERIODS = (1.3, 2.1, 0.7, 3.1, 1.7, 0.9)
-"""Of the squares in which the coefficients of the profile jump from end to end of their intervals,
-in seconds; unrelated, so that all corners of the box come up. A starting point to be changed."""
+"""Periods in seconds of the square waves in which the coefficients of the profile jump between the
+ends of their intervals; unrelated, so that all corners of the box occur. A starting point to be
+changed."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath
 
 from congelation.errors import InvalidInput
 
-__all__ = ["DAMAGED", "check_archive", "unpack_archive"]
+__all__ = ["DAMAGED", "check_archive", "require_no_other_kind", "unpack_archive"]
 
 MOST_BYTES = 2 * 2**30
 """Unpacked, of all files: several times the largest FMUs there are."""
@@ -17,10 +17,34 @@ MOST_FILES = 100_000
 
 HARMLESS_BYTES = 64 * 2**20
 MOST_COMPRESSION = 100.0
-"""Beyond so many bytes: libraries and tables shrink to a tenth, a bomb to a thousandth."""
+"""Largest ratio of compression of an entry beyond HARMLESS_BYTES: libraries and tables shrink to a
+tenth, an archive made to fill the disk to a thousandth."""
 
 # What zipfile raises for archives that are damaged, encrypted, or of another method.
 DAMAGED = (zipfile.BadZipFile, zlib.error, EOFError, NotImplementedError, OSError, RuntimeError)
+
+
+def require_no_other_kind(file: Path) -> None:
+    """Refuse a file that is clearly of another kind than an FMU, and say what it is for.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if file.suffix == ".toml" and not zipfile.is_zipfile(file):
+        raise InvalidInput(
+            f"{file}: this is a TOML file, not an FMU; a scenario is run (congelation run {file}), "
+            f"FMUs are built of a spec (congelation build {file})"
+        )
+    try:
+        with zipfile.ZipFile(file) as archive:
+            names = set(archive.namelist())
+    except DAMAGED:
+        return  # what is damaged may have been an FMU
+    if "SystemStructure.ssd" in names and "modelDescription.xml" not in names:
+        raise InvalidInput(
+            f"{file}: this is an SSP archive, not an FMU; run it with: congelation run {file}"
+        )
 
 
 def check_archive(file: Path, kind: str) -> None:

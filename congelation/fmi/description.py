@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 import zipfile
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from types import MappingProxyType
 
@@ -15,7 +17,7 @@ import fmpy
 from lxml import etree
 
 from congelation.errors import InvalidInput, nearest
-from congelation.fmi.archive import DAMAGED, check_archive
+from congelation.fmi.archive import DAMAGED, check_archive, require_no_other_kind
 from congelation.fmi.units import BASE, Unit, unit_named
 
 __all__ = ["ANNOTATION", "Description", "Variable", "describe"]
@@ -60,7 +62,7 @@ class Variable:
     relative: bool = False
     description: str = ""
 
-    @property
+    @cached_property
     def settable(self) -> bool:
         """Whether a start value may be given (FMI 2.0.4, section 2.2.7)."""
         return self.variability != "constant" and (
@@ -130,17 +132,20 @@ def describe(path: Path) -> Description:
     InvalidInput
         The file is missing, is no FMU, or offers no FMI 2.0 co-simulation.
     """
-    path = Path(path)
-    if path.is_dir():
+    name = os.path.abspath(path)
+    try:
+        status = os.stat(name)
+    except OSError:
+        status = None
+    if status is not None and stat.S_ISDIR(status.st_mode):
         raise InvalidInput(f"{path}: this is a folder; give an FMU (.fmu)")
-    if not path.is_file():
+    if status is None or not stat.S_ISREG(status.st_mode):
         raise InvalidInput(
             f"no FMU at {path}; build it with: congelation build SPEC.toml; or correct the path"
         )
-    status = path.stat()
-    key = (os.path.abspath(path), status.st_mtime_ns, status.st_size)
+    key = (name, status.st_mtime_ns, status.st_size)
     if key not in _DESCRIPTIONS:
-        _DESCRIPTIONS[key] = _read(path)
+        _DESCRIPTIONS[key] = _read(Path(path))
     return _DESCRIPTIONS[key]
 
 
@@ -148,6 +153,7 @@ _DESCRIPTIONS: dict[tuple[str, int, int], Description] = {}
 
 
 def _read(path: Path) -> Description:
+    require_no_other_kind(path)
     check_archive(path, "an FMU")
     try:
         with zipfile.ZipFile(path) as archive:

@@ -36,7 +36,7 @@ __all__ = [
 ]
 
 WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
-"""Of fmi2Status."""
+"""Values of fmi2Status."""
 
 KEPT_MESSAGES = 200
 """Messages kept per instance: enough to explain a failure, bounded in a long run."""

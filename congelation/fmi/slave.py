@@ -7,7 +7,6 @@ fmpy's convenience methods cost several times what the FMU itself needs.
 from __future__ import annotations
 
 import ctypes
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
 from typing import Any, NoReturn
@@ -66,6 +65,8 @@ class Slave:
         self._is_complete = False
         # Each call is noted before it is made, so that one that never returns has a name.
         self._note = CALLS.note
+        self._functions: dict[str, Any] = {}
+        self._codes: dict[str, int] = {}
         self._note[0] = self._code("fmi2Instantiate")
         self._fmu = load(description, name, self.log)
         self._component = ctypes.c_void_p(self._fmu.component)
@@ -162,17 +163,18 @@ class Slave:
 
     def set_values(self, values: Iterable[StartValue]) -> None:
         """Set variables of any type, one call per type."""
-        groups: dict[str, list[StartValue]] = defaultdict(list)
-        for value in values:
-            groups[value.variable.type].append(value)
-        for kind, group in groups.items():
-            c_type = _C_TYPES[kind]
-            scalars = [v.value.encode() if isinstance(v.value, str) else v.value for v in group]
+        groups: dict[str, tuple[list[int], list[Any]]] = {}
+        for variable, value in values:
+            references, scalars = groups.setdefault(variable.type, ([], []))
+            references.append(variable.reference)
+            scalars.append(value.encode() if isinstance(value, str) else value)
+        for kind, (references, scalars) in groups.items():
+            count = len(references)
             self._call(
                 f"fmi2Set{kind}",
-                _references(v.variable.reference for v in group),
-                ctypes.c_size_t(len(group)),
-                (c_type * len(group))(*scalars),
+                (ctypes.c_uint * count)(*references),
+                ctypes.c_size_t(count),
+                (_C_TYPES[kind] * count)(*scalars),
             )
 
     def set_value(self, variable: Variable, value: float | int | bool | str) -> None:
@@ -278,9 +280,10 @@ class Slave:
     def save_into(self, state: State) -> None:
         """Save over a state of this instance that is no longer needed."""
         # Freed first: some FMUs would overwrite the pointer and lose the memory behind it.
-        self._note[0] = self._free_code
-        self._free_state(self._component, ctypes.byref(state))
-        state.value = None
+        if state.value is not None:
+            self._note[0] = self._free_code
+            self._free_state(self._component, ctypes.byref(state))
+            state.value = None
         self._note[0] = self._save_code
         self._check("fmi2GetFMUstate", self._get_state(self._component, ctypes.byref(state)))
 
@@ -363,7 +366,10 @@ class Slave:
         self, name: str, *argument_types: type, returns: type | None = ctypes.c_int
     ) -> Callable[..., int]:
         """A C function of its own, without fmpy's argument types where none are given."""
-        function = self._fmu.dll[name]
+        function = self._functions.get(name)
+        if function is not None:
+            return function  # type: ignore[no-any-return]  # fmpy publishes no types
+        function = self._functions[name] = self._fmu.dll[name]
         function.restype = returns
         if argument_types:
             function.argtypes = argument_types
@@ -371,7 +377,10 @@ class Slave:
 
     def _code(self, function: str) -> int:
         """What stands for a call of this instance in the note."""
-        return CALLS.code(f"{function} of {self.name} ({self.description.path.name})")
+        if function not in self._codes:
+            text = f"{function} of {self.name} ({self.description.path.name})"
+            self._codes[function] = CALLS.code(text)
+        return self._codes[function]
 
     def _call(self, name: str, *arguments: object) -> None:
         self._note[0] = self._code(name)

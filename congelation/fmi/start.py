@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,8 +17,7 @@ LARGEST_INTEGER = 2**31 - 1
 """An fmi2Integer has 32 bits."""
 
 
-@dataclass(frozen=True)
-class StartValue:
+class StartValue(NamedTuple):
     """A variable and the value that it starts from, of the variable's own type."""
 
     variable: Variable
@@ -47,6 +46,18 @@ def resolve_start(
     """
     found: dict[str, StartValue] = {}
     for name, value in start.items():
+        # A study resolves the same parameters run after run, nearly all of them plain numbers.
+        known = description.variables.get(name)
+        if (
+            isinstance(value, float)
+            and known is not None
+            and known.type == "Real"
+            and known.settable
+            and math.isfinite(value)
+            and name not in found
+        ):
+            found[name] = StartValue(known, float(value))
+            continue
         here = f"{place}, start value '{name}'"
         for variable, scalar in _scalars(description, name, value, here):
             if variable.name in found:

@@ -8,11 +8,22 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from congelation.errors import InvalidInput, nearest
 
-__all__ = ["BASE", "Conversion", "Unit", "base_unit", "conversion", "known_units", "unit_named"]
+__all__ = [
+    "BASE",
+    "Conversion",
+    "Unit",
+    "base_unit",
+    "conversion",
+    "factors",
+    "known_units",
+    "unit_named",
+    "unit_of_factors",
+]
 
 BASE = ("kg", "m", "s", "A", "K", "mol", "cd", "rad")
 # Exponents of the base units, and the factor to them.
@@ -174,16 +185,35 @@ def base_unit(unit: str) -> dict[str, str]:
     """
     factor = 1.0
     exponents: Counter[str] = Counter()
+    for name, power in factors(unit).items():
+        size, base = _DERIVED[name]
+        factor *= size**power
+        for symbol, exponent in base.items():
+            exponents[symbol] += power * exponent
+    attributes = {name: str(exponents[name]) for name in BASE if exponents[name]}
+    return attributes if factor == 1.0 else {**attributes, "factor": repr(factor)}
+
+
+def factors(unit: str) -> dict[str, int]:
+    """The names in a unit such as ``N.m/rad``, each with its power.
+
+    Raises
+    ------
+    InvalidInput
+        If a name is not known.
+    """
+    powers: Counter[str] = Counter()
     for place, part in enumerate(unit.split("/")):
-        sign = -1 if place else 1
         for name in part.split("."):
             match = _FACTOR.fullmatch(name)
             if match is None or match.group(1) not in _DERIVED:
                 raise InvalidInput(f"unit '{unit}': '{name}' is no unit; {nearest(name, _DERIVED)}")
-            power = sign * int(match.group(2) or 1)
-            size, base = _DERIVED[match.group(1)]
-            factor *= size**power
-            for symbol, exponent in base.items():
-                exponents[symbol] += power * exponent
-    attributes = {name: str(exponents[name]) for name in BASE if exponents[name]}
-    return attributes if factor == 1.0 else {**attributes, "factor": repr(factor)}
+            powers[match.group(1)] += (-1 if place else 1) * int(match.group(2) or 1)
+    return {name: power for name, power in powers.items() if power and name != "1"}
+
+
+def unit_of_factors(powers: Mapping[str, int]) -> str:
+    """The unit that `factors` is of: ``m/s2``."""
+    up = [name + (str(p) if p > 1 else "") for name, p in powers.items() if p > 0]
+    down = [f"/{name}" + (str(-p) if p < -1 else "") for name, p in powers.items() if p < 0]
+    return (".".join(up) or "1") + "".join(down)

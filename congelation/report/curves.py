@@ -43,7 +43,7 @@ __all__ = [
 Array = npt.NDArray[np.float64]
 
 EVERY = -1
-"""In place of a variant's number: a curve that is the same in all of them."""
+"""Stands for a variant's number where a curve is the same in all variants."""
 
 PICKED = -2
 """In place of a variant's number: a curve of the run that a reader has picked."""

@@ -202,7 +202,7 @@ def _no_scales() -> dict[str, Any]:
 def _counts(
     study: Study, axes: Mapping[str, Sequence[Any]], variants: Sequence[str]
 ) -> Iterator[str]:
-    """Of each axis with few values a table: how many runs settle at each of them, by variant."""
+    """A table for each axis with few values: how many runs settle at each of them, by variant."""
     timed = any(m["metric"] == "settling_time" for m in study.about["metrics"].values())
     done = "settle" if timed else "reach their stop time"
     names = _short_names(axes)

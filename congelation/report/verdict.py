@@ -54,7 +54,7 @@ def run_verdict(study: Study, peaks: Mapping[str, float]) -> Iterator[str]:
 
 
 def tiles(study: Study, peaks: Mapping[str, float]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
-    """Of each run its variant, and names with values; `peaks` has the peak of \\|u\\| by run_id."""
+    """The variant of each run, and names with values; `peaks` has the peak of \\|u\\| by run_id."""
     name = _named(study, "settling_time")
     priced = prices(study, study.records, peaks)
     for run in study.records:

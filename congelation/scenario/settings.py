@@ -20,6 +20,7 @@ from congelation.toml import Section
 __all__ = ["SettingsReader", "component_values"]
 
 _PROFILE_OF = re.compile(r"Profile of (?P<name>[^:]+): ")
+_PROFILE_MEAN = re.compile(r"profile\[(\d+)\]\.mean")
 _TERM_SLOT = re.compile(
     r"(?P<kind>sine|square|chirp|telegraph|noise)\[\d+\]\.(amplitude|deviation)"
 )
@@ -116,7 +117,26 @@ def component_values(
     terms = _profile_values(profile, description, before or {})
     for twice in sorted(values.keys() & terms.keys()):
         raise start.error(twice, "is given by the profile as well; leave one of them out")
-    return values | terms
+    given = values | terms
+    for name in description.variables:
+        if _PROFILE_MEAN.fullmatch(name):
+            prefix = name.removesuffix("mean")
+            if any(key.startswith(prefix) for key in given):
+                _check_profile(start, prefix, {**(before or {}), **given})
+    return given
+
+
+def _check_profile(section: Section, prefix: str, values: Mapping[str, object]) -> None:
+    """Raise InvalidInput where the numbers of a profile, taken together, make none."""
+    numbers = {
+        key.removeprefix(prefix): value
+        for key, value in values.items()
+        if key.startswith(prefix) and not key.startswith(f"{prefix}table.")
+    }
+    try:
+        Profile.from_flat(numbers)
+    except ProfileError as error:
+        raise section.within(f"{prefix}{error}") from error
 
 
 def _start_values(section: Section, description: Description) -> dict[str, Scalar]:
@@ -221,7 +241,7 @@ def _profile_prefix(section: Section, key: str, description: Description) -> tup
     """
     components = {}
     for name, variable in description.variables.items():
-        if match := re.fullmatch(r"profile\[(\d+)\]\.mean", name):
+        if match := _PROFILE_MEAN.fullmatch(name):
             of = _PROFILE_OF.match(variable.description)
             component = of["name"] if of else f"theta[{match[1]}]"
             components[component] = name.removesuffix("mean")

@@ -89,24 +89,33 @@ def _component(section: Section, name: str) -> Component:
     read = section.read(keys.COMPONENT)
     if name == EXPERIMENT:
         raise section.within(f"choose a name other than '{name}'")
-    fmu = _find_fmu(section)
+    fmu = _find_fmu(section, read["native"])
     description = section.attempt("fmu", partial(describe, fmu))
     return Component(name, fmu, component_values(read["start"], read["profile"], description))
 
 
-def _find_fmu(section: Section) -> Path:
-    """The file that `fmu` names: a path from the scenario's folder, or a name in a fmus/ folder."""
+def _find_fmu(section: Section, native: bool) -> Path:
+    """The file that `fmu` names: a path from the scenario's folder, or a name in a fmus/ folder,
+    or in the folder native of that."""
     name = section.text("fmu")
     home = Path(section.file).absolute().parent
     if name.endswith(".fmu"):
+        if native:
+            raise section.error(
+                "native",
+                f"= true goes with a name, and fmu = '{name}' is a path; leave native out, or give "
+                f'fmu = "{Path(name).stem}"',
+            )
         return home / name
-    folders = [folder / "fmus" for folder in (home, *home.parents, Path.cwd())]
+    where = "fmus/native" if native else "fmus"
+    folders = [folder / where for folder in (home, *home.parents, Path.cwd())]
     for folder in folders:
         if (folder / f"{name}.fmu").is_file():
             return folder / f"{name}.fmu"
     built = sorted({f.stem for folder in folders for f in folder.glob("*.fmu")})
-    remedy = f"{nearest(name, built)} Or {_BUILD}" if built else _BUILD
-    raise section.error("fmu", f"= '{name}' is no FMU in fmus/; {remedy}")
+    build = f"{_BUILD} --native" if native else _BUILD
+    remedy = f"{nearest(name, built)} Or {build}" if built else build
+    raise section.error("fmu", f"= '{name}' is no FMU in {where}/; {remedy}")
 
 
 def _experiment(section: Section) -> Experiment:

@@ -32,7 +32,7 @@ from congelation.verify.assumptions import scenario_warnings
 
 __all__ = ["Listener", "Tally", "carry_out", "read", "result_folder", "run", "sweep"]
 
-BATCH, PERIOD = 100, 1.0
+BATCH, PERIOD = 1000, 1.0
 """Records, and seconds, after which they are committed: what a killed process repeats at most."""
 
 TASK_SECONDS = 0.05
@@ -56,6 +56,8 @@ class Tally:
         Bytes that the workers take together.
     under_way : float
         Sum of the fractions done of the runs that are under way.
+    notices : tuple of str
+        A line for each run whose steps have collapsed since the last call.
     """
 
     done: int
@@ -63,6 +65,7 @@ class Tally:
     failed: int = 0
     memory: int = 0
     under_way: float = 0.0
+    notices: tuple[str, ...] = ()
 
 
 Listener = Callable[[Tally], None]
@@ -264,6 +267,7 @@ class _Engine:
         self._alone: deque[Task] = deque()  # their worker ended while they were under way
         self._under_way: dict[str, Task] = {}
         self._fractions: dict[str, float] = {}
+        self._notices: list[str] = []
         self._deaths: Counter[str] = Counter()
         self._records: list[RunRecord] = []
         self._committed = time.monotonic()
@@ -282,6 +286,8 @@ class _Engine:
                     task = self._under_way[event.run_id]
                     if isinstance(event, Progress):
                         self._fractions[event.run_id] = event.fraction
+                        if event.notice:
+                            self._notices.append(f"{task.variant}: {event.notice}")
                         continue
                     del self._under_way[event.run_id]
                     self._fractions.pop(event.run_id, None)
@@ -352,4 +358,7 @@ class _Engine:
         if now > self._looked + MEMORY_PERIOD or self._done == self.plan.total:
             self._memory, self._looked = self.workers.memory or self._memory, now
         under_way = sum(self._fractions.values())
-        self.progress(Tally(self._done, self.plan.total, self._failed, self._memory, under_way))
+        notices, self._notices = tuple(self._notices), []
+        self.progress(
+            Tally(self._done, self.plan.total, self._failed, self._memory, under_way, notices)
+        )

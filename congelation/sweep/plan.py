@@ -106,7 +106,7 @@ class Plan:
             seed=_sweep(self.scenario).seed if self.job.swept else None,
             code_version=code_version(),
             numerics_version=NUMERICS_VERSION,
-            **{**asdict(outcome), "metrics": {**none, **outcome.metrics}},
+            **{**vars(outcome), "metrics": {**none, **outcome.metrics}},
         )
 
 

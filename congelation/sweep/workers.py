@@ -1,9 +1,10 @@
 """Worker processes: FMUs run in them alone, so that one which crashes or hangs costs one run.
 
 Pebble starts, replaces and ends the processes. Beside its channel each process has a pipe of its
-own, through which it reports every run as it begins and ends. So one task may hold several short
-runs, a time limit holds for each of them, a row is never lost with its neighbours, and a process
-that ends, even by exit(0), is noticed at once by the end of its pipe.
+own, through which it reports the runs that have ended, short ones several at a time, and memory in
+common with its parent, where it notes the run under way. So one task may hold several short runs, a
+time limit holds for each of them, a row is never lost with its neighbours (what is not reported yet
+is done again), and a process that ends, even by exit(0), is noticed at once by the end of its pipe.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import ctypes
 import itertools
 import multiprocessing
 import os
+import pickle
 import signal
 import sys
 import threading
@@ -31,6 +33,7 @@ import psutil
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
 from congelation.cosim.pool import SlavePool
+from congelation.cosim.session import NOTICE
 from congelation.errors import CongelationError
 from congelation.fmi.calls import CALLS, NOTE_SIZE, noted_call
 from congelation.results.record import Outcome
@@ -51,6 +54,9 @@ TASKS_PER_WORKER = 1000
 
 PERIOD = 0.1
 """Seconds after which new processes and time limits are looked at."""
+
+REPORTED = 0.05
+"""Seconds after which a process reports the runs that have ended, and the progress of one."""
 
 FAILED_STARTS = 5
 """Processes that may end, one after the other, before any of them has begun a run."""
@@ -78,10 +84,11 @@ class Unfinished(NamedTuple):
 
 
 class Progress(NamedTuple):
-    """A run is under way; `fraction` of it is done."""
+    """A run is under way; `fraction` of it is done. `notice` is what it has to say, in one line."""
 
     run_id: str
     fraction: float
+    notice: str = ""
 
 
 Event = Finished | Lost | Unfinished | Progress
@@ -142,13 +149,27 @@ class Workers(ABC):
 
 @dataclass
 class _Batch:
-    """Runs that were submitted together; `begun` says which one is under way, and since when."""
+    """Runs that were submitted together; `ended` of them have been reported."""
 
-    waiting: list[Task]
+    tasks: list[Task]
     future: ProcessFuture[None]
-    begun: tuple[str, float] | None = None
+    process: _Process | None = None
+    ended: int = 0
     timed_out: bool = False
     was_done: bool = False
+
+    @property
+    def under_way(self) -> tuple[Task, float] | None:
+        """The run under way, and since when."""
+        if self.process is None or self.process.run_under_way[_PLACE] < self.ended:
+            return None
+        since, place = self.process.run_under_way[_SINCE], int(self.process.run_under_way[_PLACE])
+        return self.tasks[place], since
+
+    @property
+    def left(self) -> list[str]:
+        """Those that have not been reported."""
+        return [task.run_id for task in self.tasks[self.ended :]]
 
 
 @final
@@ -167,7 +188,7 @@ class Local(Workers):
 
     size: int = 1
     do: Callable[..., tuple[Outcome, bytes | None]] = execute
-    most: int = 16
+    most: int = 50
     _pipes: dict[Connection, _Process] = field(default_factory=dict, init=False, repr=False)
     _failed_starts: int = field(default=0, init=False, repr=False)
 
@@ -207,14 +228,15 @@ class Local(Workers):
         for number, batch in list(self._batches.items()):
             # What was sent before the future was done is certainly read the next time.
             was_done, batch.was_done = batch.was_done, batch.future.done()
-            if was_done and batch.begun is None:
+            under_way = batch.under_way
+            if was_done and batch.process is None:
                 # Its process ended between taking the task and its first run, or the pool broke.
                 found += map(Unfinished, self._dropped(number))
-            elif was_done and batch.begun is not None and (error := _error(batch.future)):
-                run_id, outcome = batch.begun[0], Outcome(ERROR, f"{type(error).__name__}: {error}")
+            elif was_done and (error := _error(batch.future)):
                 self._doing = {pipe: n for pipe, n in self._doing.items() if n != number}
-                found += [Lost(run_id, outcome), *map(Unfinished, self._dropped(number)[1:])]
-            elif limit is not None and batch.begun is not None and now - batch.begun[1] > limit:
+                outcome = Outcome(ERROR, f"{type(error).__name__}: {error}")
+                found += self._lost(number, under_way, outcome)
+            elif limit is not None and under_way is not None and now - under_way[1] > limit:
                 batch.timed_out = True
                 batch.future.cancel()  # ends the process, whatever it does
         if self._failed_starts > FAILED_STARTS * self.size:
@@ -258,7 +280,7 @@ class Local(Workers):
         if batch is None:  # its runs have been given up
             return []
         if kind == "begin":
-            batch.begun = (rest[0], rest[1])
+            batch.process = self._pipes[pipe]
             self._doing[pipe] = number
             self._failed_starts = 0
         elif kind == "progress":
@@ -266,11 +288,11 @@ class Local(Workers):
         elif kind == "unwritten":
             raise StoreError(rest[0])
         else:
-            batch.begun = None
-            batch.waiting.pop(0)
-            if not batch.waiting:
+            (ended,) = rest
+            batch.ended += len(ended)
+            if batch.ended == len(batch.tasks):
                 del self._batches[number], self._doing[pipe]
-            return [Finished(*rest)]
+            return [Finished(*pickle.loads(each)) for each in ended]
         return []
 
     def _ended(self, pipe: Connection) -> list[Event]:
@@ -282,12 +304,8 @@ class Local(Workers):
             self._failed_starts += 1
             return []
         batch = self._batches[number]
-        begun, timed_out = batch.begun, batch.timed_out
-        run_ids = self._dropped(number)
-        if begun is None:
-            return list(map(Unfinished, run_ids))
         call = noted_call(process.note)
-        if timed_out:
+        if batch.timed_out:
             message = (
                 f"The run took longer than {self._job.timeout:g} s; see sweep.timeout, --timeout."
             )
@@ -296,13 +314,24 @@ class Local(Workers):
             cause = _cause(_exit_code(process))
             message = f"The worker process ended in this run ({cause})."
             outcome = Outcome(WORKER_DIED, f"{message}{_last(call)}", cause)
-        return [Lost(begun[0], outcome), *map(Unfinished, run_ids[1:])]
+        return self._lost(number, batch.under_way, outcome)
+
+    def _lost(
+        self, number: int, under_way: tuple[Task, float] | None, outcome: Outcome
+    ) -> list[Event]:
+        """What becomes of the runs of a batch, one of which, if any, had this outcome."""
+        run_ids = self._dropped(number)
+        if under_way is None:
+            return list(map(Unfinished, run_ids))
+        lost = under_way[0].run_id
+        others = [run_id for run_id in run_ids if run_id != lost]
+        return [Lost(lost, outcome), *map(Unfinished, others)]
 
     def _dropped(self, number: int) -> list[str]:
         """Forget a batch; returns what was left to do of it."""
         batch = self._batches.pop(number)
         batch.future.cancel()  # Pebble would wait for ever for a process that ended by exit(0)
-        return [task.run_id for task in batch.waiting]
+        return batch.left
 
 
 def _error(future: ProcessFuture[None]) -> BaseException | None:
@@ -337,6 +366,9 @@ def _last(call: str) -> str:
 
 _STARTING = threading.Lock()
 
+_PLACE, _SINCE = 0, 1
+"""In what a process notes of the run under way: its place in the batch, and when it began."""
+
 
 class _Process(SpawnProcess):
     """A process with a pipe to its parent, that imports nothing of the parent's main module.
@@ -352,6 +384,7 @@ class _Process(SpawnProcess):
     def start(self) -> None:
         # The parent reads there which FMI call the process did not survive.
         self.note = SpawnContext().RawArray("B", NOTE_SIZE)
+        self.run_under_way = SpawnContext().RawArray("d", [-1.0, 0.0])
         receiver, self._sender = multiprocessing.Pipe(duplex=False)
         register, self._register = self._register, None  # it is not sent along
         with _STARTING, _interrupts_held(), _without_main(), _not_daemonic():
@@ -362,7 +395,7 @@ class _Process(SpawnProcess):
 
     def run(self) -> None:
         _end_with_parent()
-        _Child.pipe = self._sender
+        _Child.pipe, _Child.under_way = self._sender, self.run_under_way
         CALLS.use(self.note)
         super().run()
 
@@ -428,6 +461,7 @@ class _Child:
     """The state of a worker process."""
 
     pipe: ClassVar[Connection]
+    under_way: ClassVar[Any]
     job: ClassVar[Job]
     do: ClassVar[Callable[..., tuple[Outcome, bytes | None]]]
     pool: ClassVar[SlavePool]
@@ -438,17 +472,28 @@ def _prepare(job: Job, do: Callable[..., tuple[Outcome, bytes | None]]) -> None:
 
 
 def _work(number: int, tasks: Sequence[Task]) -> None:
-    """Do some runs, and report each as it begins and ends."""
-    send = _Child.pipe.send
-    for task in tasks:
-        send(("begin", number, task.run_id, time.monotonic()))
+    """Do some runs, note which one is under way, and report those that have ended."""
+    send, under_way = _Child.pipe.send, _Child.under_way
+    under_way[_PLACE] = -1.0
+    send(("begin", number))
+    ended: list[bytes] = []
+    reported = time.monotonic()
+    for place, task in enumerate(tasks):
+        # In this order: a time limit looks at the time alone.
+        under_way[_SINCE] = begun = time.monotonic()
+        under_way[_PLACE] = float(place)
 
-        def progress(fraction: float, run_id: str = task.run_id) -> None:
-            send(("progress", number, run_id, fraction))
+        def progress(fraction: float, run_id: str = task.run_id, begun: float = begun) -> None:
+            if time.monotonic() - begun > REPORTED:
+                send(("progress", number, run_id, fraction, NOTICE.taken()))
 
         try:
             outcome, trajectory = _Child.do(_Child.job, task, _Child.pool, progress)
         except StoreError as error:
             send(("unwritten", number, str(error)))
             return
-        send(("end", number, task.run_id, outcome, trajectory))
+        # Here, so that what cannot be sent is an error of this run and not of its neighbours.
+        ended.append(pickle.dumps((task.run_id, outcome, trajectory)))
+        if place + 1 == len(tasks) or time.monotonic() - reported > REPORTED:
+            send(("end", number, ended))
+            ended, reported = [], time.monotonic()

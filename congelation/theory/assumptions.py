@@ -93,6 +93,7 @@ def remarks_on(
     stated: Collection[str] | None = None,
     *,
     varying_gain: bool = False,
+    constants: Vector | None = None,
 ) -> tuple[Remark, ...]:
     """Everything that the theorem of a design does not allow, and what cannot be known.
 
@@ -109,6 +110,8 @@ def remarks_on(
         Names of the parameters that the user gave; None: not known.
     varying_gain : bool
         Whether the last element of theta is an input gain b(t), of which only the sign is known.
+    constants : ndarray, optional
+        vartheta of structured variations; `theta` then holds what is known of theta_u.
 
     Returns
     -------
@@ -120,8 +123,15 @@ def remarks_on(
     found = [
         *_without_profile(theta, place),
         *_not_known(theta, place),
-        *_radius(values, "delta", _norm(theta.radii[first:p]), "theta(t)", place, stated),
-        *_sets(values, theta, first, p, place),
+        *_radius(
+            values,
+            "delta",
+            _norm(theta.radii[first:p]),
+            "theta(t)" if constants is None else "theta_u(t) = theta(t) - Upsilon(t) vartheta",
+            place,
+            stated,
+        ),
+        *_sets(values, theta, first, p, place, constants),
     ]
     if varying_gain:
         found += [*_gain(values, theta, p, place)]
@@ -277,12 +287,17 @@ def _sets(
     first: int,
     p: int,
     place: Callable[[str], str],
+    constants: Vector | None,
 ) -> Iterator[Remark]:
     """The sets of projection and switching leakage have to hold ell, and 1/b_m."""
     if len(theta.absent) == len(theta.low):
         return
-    law = claim_of(values, "theta_hat", p)
-    if not law.leaves_open and law.restricts:
+    law = claim_of(values, "theta_hat", p if constants is None else len(constants))
+    if constants is not None:
+        missed = _norm(law.nearest(constants) - constants) > BALL_ROUNDING * (1 + _norm(constants))
+        if not law.leaves_open and law.restricts and missed:
+            yield _outside(law, constants, "vartheta", place)
+    elif not law.leaves_open and law.restricts:
         center = theta.center[:p]
         ell = law.nearest(center)
         # Where delta is estimated, a larger one is only a larger estimate.

@@ -81,11 +81,15 @@ class PerturbationSet:
     free_delta: bool = False
 
     def ell(self, center: Vector, radii: Vector | None = None) -> Vector:
-        """The congealed parameters for a theta(t) in the box of that centre and those radii."""
+        """The congealed parameters for a theta(t) in the box of that centre and those radii.
+
+        With structured variations the centre is vartheta, then that of b(t), and the box one of
+        theta_u, then of b(t).
+        """
         ell = center - np.array(self.offset) if self.offset else center.copy()
-        spread = np.zeros_like(center) if radii is None else radii
-        if self.gain is not None:
-            ell[self.gain] -= self.sign * spread[self.gain]
+        spread = np.zeros(len(self.varies)) if radii is None else radii
+        if self.gain is not None:  # b(t) is the last element of theta, and of ell
+            ell[-1] -= self.sign * spread[-1]
         if self.free_delta:
             varying = np.where(self.varies, spread, 0.0)
             ell = np.append(ell, np.linalg.norm(varying))
@@ -97,7 +101,8 @@ class PerturbationSet:
         if self.free_delta:
             found = replace(found, delta=float(ell[-1]))
         if self.gain is not None:
-            found = replace(found, gain_reach=LARGEST_GAIN * abs(float(ell[self.gain])))
+            place = -2 if self.free_delta else -1
+            found = replace(found, gain_reach=LARGEST_GAIN * abs(float(ell[place])))
         return found
 
     def worst(self, gradient: Vector) -> Vector:
@@ -271,6 +276,8 @@ class Certificate:
         A random admissible ell from a generator.
     coordinates : Coordinates
         Where the search draws and ascends.
+    nominal : casadi.SX or None
+        theta at Delta = 0, in terms of the loop's states and ell; None: ell itself, less delta.
     """
 
     loop: ClosedLoop
@@ -281,6 +288,7 @@ class Certificate:
     perturbations: PerturbationSet
     sample_ell: Callable[[np.random.Generator], Vector]
     coordinates: Coordinates
+    nominal: ca.SX | None = None
 
     def at(self, state: ArrayLike, ell: ArrayLike) -> Margin:
         """The margin at a state of the closed loop, for congealed parameters ell."""
@@ -387,7 +395,7 @@ class Certificate:
         (f,) = self.loop.bind([self.loop.rate])
         terms = ca.jacobian(self.V, X).T * f
         gradient = ca.jacobian(ca.sum1(terms), theta).T
-        constants = self.ell[: theta.numel()]
+        constants = self.ell[: theta.numel()] if self.nominal is None else self.nominal
         center, gradient = ca.substitute([terms, gradient], [theta], [constants])
         return ca.sum1(center), ca.sum1(ca.fabs(center)), gradient
 

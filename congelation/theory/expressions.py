@@ -1,7 +1,7 @@
-"""Formulas in the state, as text, read into CasADi expressions.
+"""Formulas in the state or in time, as text, read into CasADi expressions.
 
 The text is parsed by Python's own grammar and never run: a formula is made of numbers, ``pi``, the
-elements ``x[1]`` .. ``x[n]``, ``+ - * / **``, brackets, and smooth functions.
+elements ``x[1]`` .. ``x[n]`` or the time ``t``, ``+ - * / **``, brackets, and smooth functions.
 """
 
 from __future__ import annotations
@@ -9,13 +9,14 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 
 import casadi as ca
 
 from congelation.errors import InvalidInput, nearest
 
-__all__ = ["parse"]
+__all__ = ["parse", "parse_of_time"]
 
 _FUNCTIONS: dict[str, Callable[[ca.SX], ca.SX]] = {
     name: getattr(ca, name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "tanh")
@@ -48,18 +49,40 @@ def parse(text: str, x: ca.SX, known: int) -> ca.SX:
     InvalidInput
         If it is no formula, or holds an unknown name or a function that is not smooth.
     """
+    named = {f"x[{j}]": x[j - 1] for j in range(1, known + 1)}
+    return _parse(_Formula(text, named, f"x[1] .. x[{known}]", "x[1]*sin(x[2])", "x[1]"))
+
+
+def parse_of_time(text: str, t: ca.SX) -> ca.SX:
+    """A formula as an expression in the time t, such as ``cos(2*t)``; see `parse`."""
+    return _parse(_Formula(text, {"t": t}, "t", "cos(2*t)", "t"))
+
+
+@dataclass(frozen=True)
+class _Formula:
+    """A text, what its names stand for, and the words for messages about it."""
+
+    text: str
+    named: Mapping[str, ca.SX]
+    valid: str
+    example: str
+    variable: str
+
+
+def _parse(formula: _Formula) -> ca.SX:
+    text = formula.text
     if len(text) > LONGEST:
         raise InvalidInput(f"a formula of {len(text)} characters; valid: {LONGEST} at most")
     try:
-        tree = ast.parse(text.strip(), mode="eval").body
-        return _expression(tree, text, x, known)
+        return _expression(ast.parse(text.strip(), mode="eval").body, formula)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
         if isinstance(error, InvalidInput):
             raise
-        raise InvalidInput(f"'{text}' is no formula; write one such as x[1]*sin(x[2])") from None
+        raise InvalidInput(f"'{text}' is no formula; write one such as {formula.example}") from None
 
 
-def _expression(node: ast.expr, text: str, x: ca.SX, known: int) -> ca.SX:
+def _expression(node: ast.expr, formula: _Formula) -> ca.SX:
+    text, named = formula.text, formula.named
     match node:
         case ast.Constant(value=int() | float() as value) if not isinstance(value, bool):
             if not math.isfinite(value):
@@ -67,42 +90,49 @@ def _expression(node: ast.expr, text: str, x: ca.SX, known: int) -> ca.SX:
             return ca.SX(float(value))
         case ast.Name(id="pi"):
             return ca.SX(math.pi)
-        case ast.Subscript(value=ast.Name(id="x"), slice=ast.Constant(value=int(j))):
-            if not 1 <= j <= known:
+        case ast.Name(id=name) if name in named:
+            return named[name]
+        case ast.Subscript(value=ast.Name(id="x"), slice=ast.Constant(value=int(j))) if (
+            "t" not in named
+        ):
+            if f"x[{j}]" not in named:
+                known = len(named)
                 raise InvalidInput(
                     f"'{text}' holds x[{j}]; valid: x[1] to x[{known}], because row {known} of the "
                     "strict-feedback form (9) holds no others"
                 )
-            return x[j - 1]
+            return named[f"x[{j}]"]
         case ast.UnaryOp(op=ast.USub(), operand=operand):
-            return -_expression(operand, text, x, known)
+            return -_expression(operand, formula)
         case ast.UnaryOp(op=ast.UAdd(), operand=operand):
-            return _expression(operand, text, x, known)
+            return _expression(operand, formula)
         case ast.BinOp(op=ast.BitXor()):
-            raise InvalidInput(f"'{text}' holds ^; write a power with **, such as x[1]**2")
+            raise InvalidInput(
+                f"'{text}' holds ^; write a power with **, such as {formula.variable}**2"
+            )
         case ast.BinOp(left=left, op=op, right=right) if type(op) in _OPERATORS:
-            sides = (_expression(side, text, x, known) for side in (left, right))
+            sides = (_expression(side, formula) for side in (left, right))
             return _OPERATORS[type(op)](*sides)
         case ast.Call(func=ast.Name(id=name), args=[argument], keywords=[]):
-            return _function(name, text)(_expression(argument, text, x, known))
+            return _function(name, formula)(_expression(argument, formula))
         case ast.Call(func=ast.Name(id=name)):
-            _function(name, text)  # an unknown name is the more helpful message
+            _function(name, formula)  # an unknown name is the more helpful message
             raise InvalidInput(f"'{text}': {name} takes one argument")
         case ast.Name(id=name):
-            raise InvalidInput(f"'{text}' holds '{name}'; valid: x[1] .. x[{known}] and pi")
+            raise InvalidInput(f"'{text}' holds '{name}'; valid: {formula.valid} and pi")
         case _:
             raise InvalidInput(
-                f"'{text}' is no formula of numbers, x[1] .. x[{known}], + - * / ** and "
+                f"'{text}' is no formula of numbers, {formula.valid}, + - * / ** and "
                 f"{', '.join(_FUNCTIONS)}"
             )
 
 
-def _function(name: str, text: str) -> Callable[[ca.SX], ca.SX]:
+def _function(name: str, formula: _Formula) -> Callable[[ca.SX], ca.SX]:
     if name in _NOT_SMOOTH:
         raise InvalidInput(
-            f"'{text}' holds {name}, which is not smooth; the recursion differentiates phi_i: use "
-            "a smooth function in its place, such as tanh(x[1])"
+            f"'{formula.text}' holds {name}, which is not smooth; the recursion differentiates the "
+            f"formula: use a smooth function in its place, such as tanh({formula.variable})"
         )
     if name not in _FUNCTIONS:
-        raise InvalidInput(f"'{text}' holds '{name}'; {nearest(name, _FUNCTIONS)}")
+        raise InvalidInput(f"'{formula.text}' holds '{name}'; {nearest(name, _FUNCTIONS)}")
     return _FUNCTIONS[name]

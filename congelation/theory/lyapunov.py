@@ -77,8 +77,12 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
         _state(loop, "theta_hat"),
     )
     n, p = x.numel(), theta_hat.numel()
-    known = "delta" in values
-    ell = ca.SX.sym("ell", theta.numel() + (0 if known else 1))
+    known, varying_gain = "delta" in values, "rho_hat" in names
+    ell = ca.SX.sym("ell", p + varying_gain + (not known))
+    nominal = None
+    if loop.controller.Upsilon is not None:  # theta at Delta = 0 is Upsilon(t) vartheta
+        nominal = loop.controller.Upsilon @ ell[:p]
+        nominal = ca.vertcat(nominal, ell[p]) if varying_gain else nominal
     delta = ca.SX(values["delta"].item()) if known else ell[-1]
     law = claim_of(values, "theta_hat", p)
     difference = ell[:p] - theta_hat
@@ -88,8 +92,10 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
     drawn = {"z": n, "error": p}
     if not known:
         drawn["D_error"] = 1
-    if "rho_hat" in names:
+    if varying_gain:
         drawn["root"] = 1
+    if nominal is not None:
+        drawn["t"] = 1
     drawn |= {v.name: v.symbol.numel() for v in loop.external}
     free = {name: ca.SX.sym(name, size) for name, size in drawn.items()}
     solved = {"theta_hat": ell[:p] + free["error"]}
@@ -112,7 +118,7 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
         claimed += D_law.decay(D, D_hat)
         residue += D_law.residue(D)
         solved["D_hat"] = D + free["D_error"]
-    if "rho_hat" in names:
+    if varying_gain:
         sign, ell_b, rho_hat = values["sign_b"].item(), ell[p], _state(loop, "rho_hat")
         rho_law = claim_of(values, "rho_hat", 1)
         rate[:-1] /= 2
@@ -120,8 +126,13 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
         claimed += sign * ell_b * rho_law.decay(1 / ell_b, rho_hat)
         residue += sign * ell_b * rho_law.residue(1 / ell_b)
         solved["rho_hat"] = sign * free["root"] ** 2  # sign_b rho_hat >= 0 for ever
-        perturbations = replace(perturbations, varies=(True,) * p + (False,), gain=p, sign=sign)
+        gain = theta.numel() - 1
+        perturbations = replace(
+            perturbations, varies=(True,) * gain + (False,), gain=gain, sign=sign
+        )
         sample = _with_gain(sample, p, rho_law, sign)
+    if nominal is not None:
+        solved["t"] = free["t"]
     for v in loop.external:
         yr = v.symbol
         if "epsilon_r" in values:
@@ -144,7 +155,7 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
         (slope_of_x,) = loop.bind([loop.rate[0]])
         (slope,) = ca.substitute([ca.jacobian(slope_of_x, theta)], [x], [1])  # phibar_{1,1}
         perturbations = _ball(loop, np.asarray(ca.DM(slope)).ravel())
-    return Certificate(loop, ell, V, claimed, residue, perturbations, sample, coordinates)
+    return Certificate(loop, ell, V, claimed, residue, perturbations, sample, coordinates, nominal)
 
 
 def output_feedback_certificate(loop: ClosedLoop) -> Certificate:

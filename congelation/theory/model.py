@@ -210,7 +210,8 @@ class Model:
     """A plant, a controller, or a block to put between the two.
 
     `theta` holds the unknown parameters theta(t) of a plant; `signals`, what a block computes as a
-    function of time. A controller has neither.
+    function of time. A controller has neither; `Upsilon`, in its states, is what it takes for the
+    known part of theta(t) = Upsilon vartheta + .., of which it estimates the constants vartheta.
     """
 
     name: str
@@ -222,6 +223,7 @@ class Model:
     gains: tuple[Gain, ...] = ()
     theta: Variables | None = None
     signals: Signals | None = None
+    Upsilon: ca.SX | None = None
 
     @property
     def profiled(self) -> Variables | None:

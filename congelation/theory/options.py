@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import casadi as ca
 
@@ -26,16 +26,27 @@ class Options:
     bound_estimator : bool
         In place of congelation's damping: what varies is a disturbance of bounded size, and the
         bound is estimated. State feedback, without the two before.
+    Upsilon : tuple of tuple of str, p of q
+        Structured variations, theta(t) = Upsilon(t) vartheta + theta_u(t): known functions of time
+        as formulas in ``t``, unknown constants vartheta, and a rest of the radius delta. Empty:
+        nothing of the variations is known. State feedback.
     """
 
     tracking: bool = False
     varying_gain: bool = False
     unknown_radius: bool = False
     bound_estimator: bool = False
+    Upsilon: tuple[tuple[str, ...], ...] = ()
 
     def __str__(self) -> str:
-        named = [f.name.replace("_", " ") for f in fields(self) if getattr(self, f.name)]
-        return ", ".join(named)
+        named = {
+            "tracking": self.tracking,
+            "varying gain": self.varying_gain,
+            "unknown radius": self.unknown_radius,
+            "bound estimator": self.bound_estimator,
+            "structured variations": self.Upsilon,
+        }
+        return ", ".join(name for name, chosen in named.items() if chosen)
 
 
 def reference_input(order: int) -> Input:

@@ -108,6 +108,11 @@ def largest_level(
             "V does not bound the reference, from which u is made; there is no level set of V on "
             "which |u| <= umax"
         )
+    if loop.controller.Upsilon is not None:
+        raise InvalidInput(
+            "V does not bound Upsilon(t), from which u is made; there is no level set of V on "
+            "which |u| <= umax"
+        )
     if not certificate.residue.is_zero():
         raise InvalidInput(
             "the claim has a residue, so that V may grow and leave its level sets; give a law "

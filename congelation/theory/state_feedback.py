@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 
 from congelation.errors import InvalidInput
 from congelation.theory.adaptation import Adaptation, AdaptationFactory, Joint, gradient
+from congelation.theory.expressions import parse_of_time
 from congelation.theory.gains import upper_shift
 from congelation.theory.model import (
     Domain,
@@ -68,6 +69,7 @@ class StateFeedbackSymbols:
     epsilon_b: Variables | None = None
     eta: Variables | None = None
     decay: Variables | None = None
+    t: Variables | None = None
 
     @classmethod
     def of(cls, n: int, p: int, options: Options) -> StateFeedbackSymbols:
@@ -79,6 +81,15 @@ class StateFeedbackSymbols:
             Gamma=matrix("Gamma", p, p, "Adaptation gain of (19)"),
             damping=scalar("damping", "True: Controller 1, with damping; false: Controller 2"),
         )
+        if options.Upsilon:
+            q = len(options.Upsilon[0])
+            about = "Estimate of vartheta in theta(t) = Upsilon(t) vartheta + theta_u(t)"
+            found = replace(
+                found,
+                theta_hat=vector("theta_hat", q, about),
+                Gamma=matrix("Gamma", q, q, found.Gamma.description),
+                t=scalar("t", "Time, of which Upsilon(t) is a function", "s"),
+            )
         if options.bound_estimator:
             about = "True: the bound is estimated; false: Controller 2"
             found = replace(
@@ -157,24 +168,31 @@ class StateFeedbackStep:
     z, alpha : casadi.SX, (1, 1)
         z_i of (12) and alpha_i of (15).
     w, wbar : casadi.SX, (p, 1), (p, N)
-        w_i of (13); column j of wbar is wbar_{i,j} of (25): w_i = wbar [z; y_r; ..]. With an
+        w_i of (13); column j of wbar is wbar_{i,j} of (25): w_i = wbar [z; y_r; ..].
+    v, vbar : casadi.SX, (q, 1), (q, N)
+        The regressor of the estimates: w_i, or Upsilon^T w_i with structured variations. With an
         unknown radius both have one row more, the regressor of D_hat.
     tau, slope : casadi.SX, (p, 1)
-        tau_i of (14), and the slope of the adaptation law there (w_i for the gradient law).
+        tau_i of (14), and the slope of the adaptation law there (v_i for the gradient law).
     mu, zeta : casadi.SX, (1, N)
         The corrections mu_i = mu z of (17), and the damping zeta_i = zeta z of (18).
-    dalpha_dx, dalpha_dtheta, dalpha_dyr : casadi.SX, (1, n), (1, p), (1, n + 1)
+    dalpha_dx, dalpha_dtheta, dalpha_dyr : casadi.SX, (1, n), (1, q), (1, n + 1)
         Partial derivatives of alpha_{i-1} with respect to x, the estimates, and y_r .. y_r^(n).
     T : casadi.SX, (1, N)
         x_i = T [z; y_r; ..]; T depends on (x_1 .. x_{i-1}), the estimates and the reference.
     drift : casadi.SX, (1, N)
         (d alpha_{i-1}/d theta_hat) Gamma chi(theta_hat, 0) as a row; zero for the gradient law.
+    E : casadi.SX, (1, N)
+        (d alpha_{i-1}/dt) at constant x, estimates and reference, as a row; zero unless Upsilon(t)
+        is known.
     """
 
     z: ca.SX
     alpha: ca.SX
     w: ca.SX
     wbar: ca.SX
+    v: ca.SX
+    vbar: ca.SX
     tau: ca.SX
     slope: ca.SX
     mu: ca.SX
@@ -184,6 +202,7 @@ class StateFeedbackStep:
     dalpha_dyr: ca.SX
     T: ca.SX
     drift: ca.SX
+    E: ca.SX
 
 
 @dataclass(frozen=True)
@@ -196,6 +215,7 @@ class StateFeedbackDesign:
     adaptation: Adaptation
     rho_adaptation: Adaptation | None
     factors: tuple[ca.SX | ca.DM, ...]
+    Upsilon: ca.SX | None
     steps: tuple[StateFeedbackStep, ...]
 
     @property
@@ -205,8 +225,8 @@ class StateFeedbackDesign:
 
     @property
     def W(self) -> ca.SX:
-        """W = [w_1 .. w_n], shape (p, n), for which tau_n = W z and (20) holds."""
-        return ca.horzcat(*(step.w for step in self.steps))
+        """W = [v_1 .. v_n], shape (q, n), for which tau_n = W z and (20) holds."""
+        return ca.horzcat(*(step.v for step in self.steps))
 
     @property
     def u(self) -> ca.SX:
@@ -237,7 +257,7 @@ class StateFeedbackDesign:
 
     @property
     def estimate_rates(self) -> tuple[ca.SX, ...]:
-        """The rates of theta_hat, and of D_hat, eta and rho_hat where there are such.
+        """The rates of theta_hat, and of D_hat, eta, rho_hat and t where there are such.
 
         theta_hat' of (19) is Gamma chi(theta_hat, tau_n); the gradient law has chi = tau.
         """
@@ -251,6 +271,8 @@ class StateFeedbackDesign:
             z_n, law = self.steps[-1].z, self.rho_adaptation
             regressor = law.regressor(symbols.sign_b.symbol * self.kappa * z_n, z_n)
             found.append(symbols.gamma.symbol * law.rate(regressor * z_n))
+        if symbols.t is not None:
+            found.append(ca.SX(1))
         return tuple(found)
 
     @property
@@ -289,17 +311,54 @@ def state_feedback_design(
         )
     n, p = regressors.orders
     symbols = StateFeedbackSymbols.of(n, p, chosen)
+    Upsilon = _known_variations(chosen, p, n, symbols.t)
     law = adaptation(symbols.theta_hat, symbols.Gamma.symbol, n)
     rho_law = None
     if symbols.rho_hat is not None and symbols.gamma is not None:
         rho_law = law.companion(symbols.rho_hat, symbols.gamma.symbol)
     if symbols.D_hat is not None and symbols.gamma_D is not None:
-        law = Joint(law, law.companion(symbols.D_hat, symbols.gamma_D.symbol), p)
+        size = len(symbols.theta_hat.names)
+        law = Joint(law, law.companion(symbols.D_hat, symbols.gamma_D.symbol), size)
     factors = regressors.factors(symbols.x.symbol)
-    design = StateFeedbackDesign(regressors, chosen, symbols, law, rho_law, factors, steps=())
+    design = StateFeedbackDesign(
+        regressors, chosen, symbols, law, rho_law, factors, Upsilon, steps=()
+    )
     for _ in range(n):
         design = replace(design, steps=(*design.steps, _step(design)))
     return design
+
+
+def _known_variations(options: Options, p: int, n: int, t: Variables | None) -> ca.SX | None:
+    """Upsilon(t), shape (p, q), from its formulas; None where nothing of theta(t) is known.
+
+    Raises
+    ------
+    InvalidInput
+        Formulas that are no p rows of one length, or that have no n derivatives at t = 0.
+    """
+    if t is None:
+        return None
+    rows = options.Upsilon
+    if len(rows) != p or len({len(row) for row in rows}) != 1:
+        sizes = ", ".join(str(len(row)) for row in rows)
+        raise InvalidInput(
+            f"Upsilon has {len(rows)} rows of {sizes} formulas; valid: a row for each of the "
+            f"{p} elements of theta, all of one length"
+        )
+    parsed = [[parse_of_time(text, t.symbol) for text in row] for row in rows]
+    for texts, row in zip(rows, parsed, strict=True):
+        for text, formula in zip(texts, row, strict=True):
+            derivatives = [formula]
+            for _ in range(n):
+                derivatives.append(ca.jacobian(derivatives[-1], t.symbol))
+            (values,) = ca.substitute([ca.densify(ca.vertcat(*derivatives))], [t.symbol], [0])
+            # CasADi makes |t| of sqrt(t**2), and gives it the slope 0 at 0.
+            if "fabs" in str(formula) or not np.isfinite(np.asarray(ca.DM(values))).all():
+                raise InvalidInput(
+                    f"Upsilon holds {text}, which has not {n} derivatives at t = 0; the law needs "
+                    "them: give a smooth function (docs/theory.md, 'Structured variations')"
+                )
+    return ca.vertcat(*(ca.horzcat(*row) for row in parsed))
 
 
 def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
@@ -314,28 +373,31 @@ def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
     if symbols.yr is not None:
         z -= yr[i - 1]
     eta = ca.SX(0, 1) if symbols.eta is None else symbols.eta.symbol
-    dalpha_dx, dalpha_dtheta, dalpha_dyr, dalpha_deta = _gradient(
-        alpha_before, x, estimates, yr, eta
+    t = ca.SX(0, 1) if symbols.t is None else symbols.t.symbol
+    dalpha_dx, dalpha_dtheta, dalpha_dyr, dalpha_deta, dalpha_dt = _gradient(
+        alpha_before, x, estimates, yr, eta, t
     )
     phi = ca.horzcat(*design.regressors.at(x))
     w = phi @ (_e(i, n) - dalpha_dx).T  # (13)
-    zeta = T = drift = wbar = symbols.row()
+    v = w if design.Upsilon is None else design.Upsilon.T @ w
+    zeta = T = drift = E = wbar = vbar = symbols.row()
     if symbols.eta is not None:  # no damping, so no factors either
         size = ca.sqrt(ca.sumsqr(w) + SMALLEST_SQUARE)
-        w = ca.vertcat(w, symbols.damping.symbol * size * ca.tanh(size * z / symbols.eta.symbol))
+        v = ca.vertcat(v, symbols.damping.symbol * size * ca.tanh(size * z / symbols.eta.symbol))
     else:
-        T, drift = _state_factor(design), _drift_factor(design)
+        T, drift, E = _state_factor(design), _drift_factor(design), _time_factor(design)
         wbar = _regressor_factor(design.factors, ca.vertcat(*(s.T for s in steps), T), dalpha_dx)
-        mixed = (*(s.wbar[: w.numel(), :] for s in steps), wbar)  # without the row of D_hat
+        vbar = wbar if design.Upsilon is None else design.Upsilon.T @ wbar
+        mixed = (*(s.wbar for s in steps), wbar)
         zeta = symbols.row()
         zeta[:n] = _damping(symbols, tuple(rows[:, :n] for rows in mixed))
         if symbols.epsilon_r is not None:
             zeta[:n] += _tracking_damping(symbols, tuple(rows[:, n:] for rows in mixed))
         if symbols.D_hat is not None:  # the regressor of D_hat is z_i, in Controller 1 alone
-            w = ca.vertcat(w, symbols.damping.symbol * z)
-            wbar = ca.vertcat(wbar, symbols.damping.symbol * symbols.row(i - 1))
+            v = ca.vertcat(v, symbols.damping.symbol * z)
+            vbar = ca.vertcat(vbar, symbols.damping.symbol * symbols.row(i - 1))
 
-    regressor = law.regressor(w, z)
+    regressor = law.regressor(v, z)
     tau = tau_before + regressor * z  # (14)
     slope = law.slope(tau_before, tau, regressor)
     mu = _correction(steps, Gamma @ slope, symbols.row())
@@ -344,7 +406,7 @@ def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
         -z_before
         - symbols.c.symbol[i - 1] * z
         + dalpha_dx @ (ca.DM(upper_shift(n)) @ x)
-        - w.T @ estimates
+        - v.T @ estimates
         + dalpha_dtheta @ Gamma @ law.rate(tau)
         + (mu + zeta)[:i] @ z_all
     )
@@ -352,8 +414,25 @@ def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
         alpha += dalpha_dyr[:n] @ yr[1:]
     if symbols.eta is not None and symbols.decay is not None:
         alpha -= dalpha_deta * symbols.decay.symbol * symbols.eta.symbol
+    if symbols.t is not None:
+        alpha += dalpha_dt
     return StateFeedbackStep(
-        z, alpha, w, wbar, tau, slope, mu, zeta, dalpha_dx, dalpha_dtheta, dalpha_dyr, T, drift
+        z,
+        alpha,
+        w,
+        wbar,
+        v,
+        vbar,
+        tau,
+        slope,
+        mu,
+        zeta,
+        dalpha_dx,
+        dalpha_dtheta,
+        dalpha_dyr,
+        T,
+        drift,
+        E,
     )
 
 
@@ -434,7 +513,7 @@ def _control_factor(design: StateFeedbackDesign) -> ca.SX:
     """alpha_i of the last step as a row: every term of (15) holds a z_j, or a y_r^(j)."""
     symbols, steps = design.symbols, design.steps
     n, i, last = symbols.x.symbol.numel(), len(steps), steps[-1]
-    row = -symbols.c.symbol[i - 1] * symbols.row(i - 1) - symbols.estimates.T @ last.wbar
+    row = -symbols.c.symbol[i - 1] * symbols.row(i - 1) - symbols.estimates.T @ last.vbar
     if i > 1:
         row -= symbols.row(i - 2)
     for j in range(i - 1):
@@ -443,7 +522,22 @@ def _control_factor(design: StateFeedbackDesign) -> ca.SX:
             row[n + j + 1] += last.dalpha_dyr[j]
     for j, step in enumerate(steps):
         row[j] += last.dalpha_dtheta @ symbols.estimate_gain @ step.slope
-    return row + last.drift + last.mu + last.zeta
+    return row + last.drift + last.mu + last.zeta + last.E
+
+
+def _time_factor(design: StateFeedbackDesign) -> ca.SX:
+    """E_i: d alpha_{i-1}/dt at constant x, estimates and reference as a row.
+
+    With alpha_{i-1} = f [z; y_r; ..] and dz_k/dt = -d alpha_{k-1}/dt = -E_k [z; y_r; ..] there.
+    """
+    symbols, steps = design.symbols, design.steps
+    if symbols.t is None or not steps:
+        return symbols.row()
+    f = _control_factor(design)
+    row = ca.jacobian(f.T, symbols.t.symbol).T
+    for k, step in enumerate(steps):
+        row -= f[k] * step.E
+    return row
 
 
 def _drift_factor(design: StateFeedbackDesign) -> ca.SX:
@@ -492,10 +586,10 @@ def state_feedback_controller(
 def state_feedback_model(design: StateFeedbackDesign) -> Model:
     """The block of a derivation, on the symbols of that derivation."""
     symbols, options = design.symbols, design.options
-    n, p = symbols.x.symbol.numel(), symbols.theta_hat.symbol.numel()
+    (n, p), q = design.regressors.orders, symbols.theta_hat.symbol.numel()
     own = (
         (symbols.c, (1.0,) * n, Domain.POSITIVE),
-        (symbols.Gamma, tuple(np.eye(p).ravel()), Domain.POSITIVE_DEFINITE),
+        (symbols.Gamma, tuple(np.eye(q).ravel()), Domain.POSITIVE_DEFINITE),
         (symbols.epsilon, (1.0,), Domain.POSITIVE),
         (symbols.delta, (1.0,), Domain.NONNEGATIVE),
         (symbols.epsilon_r, (1.0,), Domain.POSITIVE),
@@ -509,6 +603,7 @@ def state_feedback_model(design: StateFeedbackDesign) -> Model:
     laws = (design.adaptation, design.rho_adaptation)
     states = (symbols.theta_hat, symbols.D_hat, symbols.eta, symbols.rho_hat)
     estimates = [v for v in states if v is not None]
+    moving = [*estimates, *(() if symbols.t is None else (symbols.t,))]
     also = f" ({options})" if str(options) else ""
     return Model(
         name="StateFeedbackController",
@@ -516,7 +611,7 @@ def state_feedback_model(design: StateFeedbackDesign) -> Model:
         inputs=tuple(Input.of(v) for v in (symbols.x, symbols.yr) if v is not None),
         states=tuple(
             State(v, rate, start=(START_OF_ETA if v is symbols.eta else 0.0,) * v.symbol.numel())
-            for v, rate in zip(estimates, design.estimate_rates, strict=True)
+            for v, rate in zip(moving, design.estimate_rates, strict=True)
         ),
         parameters=(
             *(Parameter(v, default, domain) for v, default, domain in own if v is not None),
@@ -530,4 +625,5 @@ def state_feedback_model(design: StateFeedbackDesign) -> Model:
             *(Output(v) for v in estimates),
             Output(Variables("z", design.z, "Error variables z of (12)")),
         ),
+        Upsilon=design.Upsilon,
     )

@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from congelation.cosim.system import Component
-from congelation.export.assumptions import degree_of, known_theta
-from congelation.export.forms import fit
+from congelation.export.assumptions import degree_of, known_theta, of_rest, structured
+from congelation.export.forms import fit, models_of
 from congelation.scenario.scenario import Case, Scenario
 from congelation.theory.assumptions import Remark, remarks_on
 from congelation.verify.reference import start_values_of, theta_of
@@ -27,7 +27,8 @@ def case_assumptions(case: Case) -> tuple[Remark, ...]:
     controller drives the plant. What is no such loop has no theorem, and no remarks.
     """
     driven = {c.target for c in case.system.connections}
-    remarks = [remark for loop in loops_of(case) for remark in _of_loop(*loop, driven)]
+    span = case.experiment.start_time, case.experiment.stop_time
+    remarks = [remark for loop in loops_of(case) for remark in _of_loop(*loop, driven, span)]
     return tuple(sorted(remarks, key=lambda remark: not remark.broken))
 
 
@@ -56,7 +57,9 @@ def scenario_warnings(scenario: Scenario) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def _of_loop(plant: Component, controller: Component, driven: set[str]) -> tuple[Remark, ...]:
+def _of_loop(
+    plant: Component, controller: Component, driven: set[str], span: tuple[float, float]
+) -> tuple[Remark, ...]:
     profiles, offsets = theta_of(start_values_of(plant))
     inputs = {
         j
@@ -79,12 +82,18 @@ def _of_loop(plant: Component, controller: Component, driven: set[str]) -> tuple
             return f'{plant.name}.profile."{name}"'
         return f"{controller.name}.{name}"
 
+    known, split = known_theta(profiles, offsets, absent, inputs), None
+    own = _about(controller)["structure"]
+    if "Upsilon" in own:
+        _, model = models_of(about["form"], about["structure"], own)
+        split = structured(model, profiles, offsets, *span)
     return remarks_on(
         _parameters(start_values_of(controller)),
-        known_theta(profiles, offsets, absent, inputs),
+        known if split is None else of_rest(known, split),
         degree_of(about["form"], about["structure"]),
         place,
         varying_gain=about["structure"].get("gain") == "varying",
+        constants=None if split is None else split.vartheta,
     )
 
 

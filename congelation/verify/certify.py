@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from congelation.errors import InvalidInput
-from congelation.export.assumptions import spec_assumptions
+from congelation.export.assumptions import HORIZON, spec_assumptions, structured
 from congelation.export.spec import Spec, read_spec
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Case, Scenario
@@ -305,7 +305,7 @@ def _is_spec(file: Path) -> bool:
 def _of_spec(spec: Spec) -> list[Design]:
     loop = close(spec.plant.model, spec.controller.model, spec.controller.model.defaults())
     profiles = [slots.profile for slots in spec.plant.profiles]
-    radius = _radius(loop, profiles)
+    radius = _radius(loop, profiles, (0.0,) * len(profiles), HORIZON)
     bounds = [profile.bounds() for profile in profiles]
     start = tuple(loop.start().tolist())
     return [Design(spec.title, loop, radius, spec_assumptions(spec), *_box(bounds), start)]
@@ -326,7 +326,8 @@ def _of_scenario(scenario: Scenario) -> list[Design]:
             remarks = case_assumptions(case)
         except InvalidInput as error:
             raise InvalidInput(f"{scenario.file}: {variant.name}: {error}") from error
-        radius = _radius(found.loop, found.profiles)
+        stop = case.experiment.stop_time
+        radius = _radius(found.loop, found.profiles, found.offsets, stop)
         bounds = [
             (low + offset, high + offset)
             for (low, high), offset in zip(
@@ -361,9 +362,18 @@ def _is_driven(target: str) -> bool:
     return target.partition(".")[2].split("[")[0] in ("dtheta", "yr")
 
 
-def _radius(loop: ClosedLoop, profiles: Sequence[Profile]) -> float:
-    """delta is the radius of a(t) alone in output feedback, and not of an input gain b(t)."""
+def _radius(
+    loop: ClosedLoop, profiles: Sequence[Profile], offsets: Sequence[float], stop: float
+) -> float:
+    """The radius that delta is to cover.
+
+    That of a(t) alone in output feedback, of what Upsilon(t) leaves where it is known, and not of
+    an input gain b(t).
+    """
     if "sign_b_m" in loop.values:
         n = loop.state("plant", "x").symbol.numel()
         return box_radius(profiles[len(profiles) - n :])
+    split = structured(loop.controller, profiles, offsets, stop=stop)
+    if split is not None:
+        return float(np.linalg.norm(split.radii))
     return box_radius(profiles[: loop.state("controller", "theta_hat").symbol.numel()])

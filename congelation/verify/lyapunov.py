@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import InvalidInput
+from congelation.export.assumptions import structured
 from congelation.results.record import Trajectory
 from congelation.scenario.parts import Case
 from congelation.verify.certify import certificate_of
@@ -37,10 +38,10 @@ MOST_ROWS = 1000
 """Rows at which the certificate is evaluated: it takes 20 us at each, a run has 100,000."""
 
 CERTIFICATE = "certificate"
-"""What the columns of the certificate begin with."""
+"""Beginning of the names of the certificate's columns."""
 
 MOST_INTEGRATED = 50_000
-"""The same for integrals, in which what lies between two rows counts."""
+"""The same for integrals, which need the rows in between."""
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,19 @@ def along(
     rows = np.linspace(0, len(time) - 1, min(len(time), most)).round().astype(int)
     picked = [columns.index(name) for name in found.certified_names]
     states = values[rows][:, picked]
-    ell = certificate.perturbations.ell(center(found), radii(found))
+    split = structured(
+        found.loop.controller,
+        found.profiles,
+        found.offsets,
+        case.experiment.start_time,
+        case.experiment.stop_time,
+    )
+    middle, half = center(found), radii(found)
+    if split is not None:
+        p = len(split.radii)  # b(t) may follow
+        middle = np.concatenate([split.vartheta, middle[p:]])
+        half = np.concatenate([split.radii, half[p:]])
+    ell = certificate.perturbations.ell(middle, half)
     margins = certificate.along(states, ell)
     return Along(
         time[rows],

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as command
+from benchmarks import studies
 from benchmarks.accuracy import Held, error_of
 from benchmarks.cases import figure
 from benchmarks.exact import Exact
@@ -50,6 +51,11 @@ def test_page_has_the_markers_of_every_part() -> None:
 
     for part in (command.ENGINE_PART, command.SWEEP_PART, command.LONG_PART):
         assert part.replaced(page, "new") != page
+
+
+def test_studies_run() -> None:
+    whole, outside = studies.in_one_process(2)
+    assert whole > outside > 0.0
 
 
 @pytest.mark.parametrize("engine", ["fmpy_loop", "fmpy_ssp", "libcosim", "ecos", "cofmupy"])

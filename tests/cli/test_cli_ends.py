@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import subprocess
 import zipfile
 from pathlib import Path
@@ -10,8 +12,9 @@ from pathlib import Path
 import pytest
 
 from congelation.results.results import open_results
+from tests.cosim.c_fmus import plain_fmu
 from tests.scenarios import FMUS, SCALAR, write
-from tests.studies import COMMAND, environment
+from tests.studies import COMMAND, environment, process
 from tests.studies import command as congelation
 from tests.studies import last_line as one_line
 
@@ -150,3 +153,49 @@ def test_an_archive_without_a_stop_time_runs_with_one(tmp_path: Path) -> None:
     assert "run with --stop-time" in one_line(done, 2)
     done = congelation("run", file, "--out", tmp_path / "out", "--stop-time", "0.2")
     assert done.returncode == 0, done.stderr
+
+
+SLOW = """
+title = "A spring of k = 1e5, held inputs, and a tolerance beyond reach"
+connections = ["mass.y -> spring.u1", "spring.y -> force.u1", "force.y -> mass.u1"]
+open = ["mass.u2", "spring.u2", "force.u2"]
+components.mass = {{fmu = "{fmu}", start = {{b1 = 0.01, x0 = 0.1}}}}
+components.spring = {{fmu = "{fmu}", start = {{b1 = 1.0}}}}
+components.force = {{fmu = "{fmu}", start = {{d1 = -1e5}}}}
+
+[experiment]
+stop_time = 1000
+tolerance = 1e-6
+coupling = "derivative"
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("form", ["bar", "json"])
+def test_steps_that_collapse_are_told_while_the_run_goes_on(tmp_path: Path, form: str) -> None:
+    file = tmp_path / "slow.toml"
+    file.write_text(SLOW.format(fmu=plain_fmu(tmp_path)))
+    ended = process("run", file, "--out", tmp_path / "out", "--timeout", "8", "--progress", form)
+    assert ended.returncode == 1, ended.stderr
+    assert "Traceback" not in ended.stderr
+    said = [line for line in ended.stderr.splitlines() if "the steps are" in line]
+    assert len(said) == 1, ended.stderr
+    if form == "json":
+        line = json.loads(said[0])["notice"]
+    else:
+        assert said[0].startswith("congelation: ")
+        line = said[0].removeprefix("congelation: ")
+    assert re.fullmatch(
+        r"slow: at t = \S+ of 1000 s the steps are \S+ s long: the rest takes \S+ steps and "
+        r"about \S+ (s|min); a larger tolerance makes them longer, max_steps or --timeout ends the "
+        r"run",
+        line,
+    )
+    (row,) = open_results(tmp_path / "out").runs.rows()
+    assert row["status"] == "TIMED_OUT"
+    # max_steps ends it as well, before anything has to be said.
+    file.write_text(SLOW.format(fmu=plain_fmu(tmp_path)) + "max_steps = 500\n")
+    ended = process("run", file, "--out", tmp_path / "few", "--progress", form)
+    (row,) = open_results(tmp_path / "few").runs.rows()
+    assert row["status"] == "TOO_MANY_STEPS"
+    assert "the steps are" not in ended.stderr

@@ -9,8 +9,6 @@ from pathlib import Path
 import pytest
 
 from congelation.results.results import Results
-from congelation.scenario.load import load_scenario
-from congelation.sweep.plan import plan_study
 from tests.cli.test_cli_sweep import rows, sweep
 from tests.cli.test_cli_sweep_forms import TINY
 from tests.scenarios import SCALAR, write
@@ -19,34 +17,56 @@ from tests.studies import last_line as one_line
 
 pytestmark = pytest.mark.slow
 
-# Of each variant one run is short and the other takes seconds.
+# Of each variant one run is done at once, and one hangs in its metric while a file exists.
 UNEVEN = """
 [sweep]
 timeout = 3
 trajectories = true
 [[sweep.axes]]
 set = "experiment.stop_time"
-values = [0.1, 3000]
+values = [0.1, 1.0]
 """
 LONGER = ("timeout = 3", "timeout = 600")
 
+SLOW = """
+import os, pathlib, time
+from congelation.scenario.metrics import Metric
+
+def slow(t, values):
+    while t[-1] > 0.5 and pathlib.Path(os.environ["ILL"]).exists():
+        time.sleep(0.1)
+    return 0.0
+
+metric = Metric("slow", slow, "takes its time while a file exists", str)
+"""
+
+
+def with_metric(name: str) -> tuple[str, str]:
+    """A replacement in a scenario, which gives it a metric of this module."""
+    return "[metrics]", f'[metrics]\nown = {{metric = "{name}", of = "plant.x"}}'
+
 
 def test_runs_that_timed_out_are_done_again_with_a_longer_timeout(tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    file = write(tmp_path, SCALAR + UNEVEN)
-    assert sweep(file, out).returncode == 1
+    install(tmp_path, "slow", SLOW)
+    out, ill = tmp_path / "out", tmp_path / "ill"
+    env = {**environment(tmp_path), "ILL": str(ill)}
+    ill.touch()
+    file = write(tmp_path, SCALAR + UNEVEN, with_metric("slow"))
+    assert process("sweep", file, "--out", out, env=env).returncode == 1
     before = {row["run_id"]: row for row in rows(out)}
     ended = {(row["set.experiment.stop_time"], row["status"]) for row in before.values()}
-    assert ended == {(0.1, "COMPLETED"), (3000.0, "TIMED_OUT")}
+    assert ended == {(0.1, "COMPLETED"), (1.0, "TIMED_OUT")}
     times = {run.run_id: run.wall_time for run in Results(out).runs}
 
-    file = write(tmp_path, SCALAR + UNEVEN, LONGER)
-    scenario = load_scenario(file)
-    assert not plan_study(scenario, out, swept=True, write=False, resume=True).missing
-    assert not plan_study(
-        scenario, out, swept=True, write=False, resume=True, retry=["WORKER_DIED"]
-    ).missing
-    done = sweep(file, out, "--retry", "timed-out", "--retry", "WORKER_DIED", "--workers", "2")
+    ill.unlink()
+    file = write(tmp_path, SCALAR + UNEVEN, with_metric("slow"), LONGER)
+    again = ("sweep", file, "--out", out, "--resume")
+    for options in ((), ("--retry", "worker_died")):
+        planned = process(*again, *options, "--dry-run", env=env)
+        assert "4 runs, 0 of them to do" in planned.stdout, planned.stderr
+    done = process(
+        *again, "--retry", "timed-out", "--retry", "WORKER_DIED", "--workers", "2", env=env
+    )
     assert done.returncode == 0, done.stderr
     assert "4 runs, 2 of them to do" in done.stdout
     assert "4 of 4 runs, 0 failed" in done.stderr
@@ -97,8 +117,7 @@ def test_runs_that_killed_their_worker_are_done_again(tmp_path: Path) -> None:
     install(tmp_path, "frail", FRAIL)
     out, ill = tmp_path / "out", tmp_path / "ill"
     axis = '[sweep]\n[[sweep.axes]]\nset = "plant.x0"\nvalues = [0, 2]\n'
-    metric = '[metrics]\ndead = {metric = "frail", of = "plant.x"}'
-    file = write(tmp_path, SCALAR + axis, ("[metrics]", metric))
+    file = write(tmp_path, SCALAR + axis, with_metric("frail"))
     env = {**environment(tmp_path), "ILL": str(ill)}
     ill.touch()
 

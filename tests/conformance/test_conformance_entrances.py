@@ -20,6 +20,7 @@ from mutant import swap
 from typer.testing import CliRunner
 
 from congelation.cli.check import check
+from tests.studies import command
 
 APP = typer.Typer()
 APP.command()(check)
@@ -86,9 +87,10 @@ def test_nothing_checked_is_no_success(library: Callable[[str], bytes], tmp_path
     ],
 )
 def test_command_refuses_bad_usage(arguments: list[str], message: str, correct: Path) -> None:
-    result = CliRunner().invoke(APP, [text.format(fmu=correct) for text in arguments])
-    assert result.exit_code == 2
-    assert message in " ".join(result.output.replace("│", " ").split())
+    done = command("check", *(text.format(fmu=correct) for text in arguments))
+    assert done.returncode == 2
+    assert message in " ".join(done.stderr.replace("│", " ").split())
+    assert "--explain" in arguments or done.stderr.count("\n") == 1
 
 
 def processes_in(folder: Path) -> list[int]:

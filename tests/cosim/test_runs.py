@@ -1,6 +1,7 @@
 """Whole runs: times, rows, statuses."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,10 +16,13 @@ from congelation.cosim import (
     Status,
     System,
     make_coupling,
+    perform,
     simulate,
 )
 from congelation.cosim.experiment import step_count
 from congelation.errors import InvalidInput
+from congelation.scenario.load import load_scenario
+from tests.scenarios import ROOT
 
 FIXED = ("jacobi", "gauss_seidel", "derivative", "hermite")
 
@@ -333,3 +337,32 @@ def test_a_system_may_have_no_links_and_nothing_to_record(fmus):
     system = System((Component("f", fmus / "TestFaulty.fmu"),))
     result = simulate(system, stop_time=1.0, step=0.5, record=[], coupling="jacobi")
     assert result.values.shape == (3, 0)
+
+
+def test_a_pool_keeps_what_is_set_up_and_nothing_of_earlier_runs() -> None:
+    """Start values, couplings and steps change; each run is as in a pool of its own."""
+    case = load_scenario(ROOT / "scenarios" / "fig2.toml").case({})
+    plant, controller = case.system.components
+    held = {"coupling": "jacobi", "tolerance": None, "step": 1e-3}
+    derivative = {"coupling": "derivative", "tolerance": None, "step": 1e-3}
+    changes = [
+        ({}, 0.3),
+        ({}, 0.26),
+        (held, 0.3),
+        (derivative, 0.3),
+        (held, 0.26),
+        ({"max_steps": 20}, 0.3),
+        (derivative, 0.26),
+        ({}, 0.3),
+    ]
+    with SlavePool() as pool:
+        for change, epsilon in changes:
+            start = {**controller.start, "epsilon": epsilon}
+            system = replace(case.system, components=(plant, replace(controller, start=start)))
+            short = replace(case.experiment, stop_time=0.5, output_interval=None, **change)
+            found, wanted = perform(system, short, pool=pool), perform(system, short)
+            assert (found.status, found.message) == (wanted.status, wanted.message)
+            np.testing.assert_array_equal(found.values, wanted.values)
+            assert replace(found.statistics, wall_time=0.0) == replace(
+                wanted.statistics, wall_time=0.0
+            )

@@ -3,13 +3,14 @@ them."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from congelation.cosim import Result, simulate
+from congelation.cosim.system import System
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Case, Scenario
 
@@ -70,9 +71,20 @@ def reference(loop: Loop, steps: int, step: float = STEP, coupling: str = "jacob
     return result
 
 
-def job(loop: Loop, steps: int, step: float = STEP) -> dict[str, object]:
+def twin(system: System) -> System:
+    """A system with the native twins of its FMUs."""
+    return replace(
+        system,
+        components=tuple(
+            replace(c, fmu=Path(c.fmu).parent / "native" / Path(c.fmu).name)
+            for c in system.components
+        ),
+    )
+
+
+def job(loop: Loop, steps: int, step: float = STEP, *, native: bool = False) -> dict[str, object]:
     """What an engine has to do, in plain data."""
-    system = case(loop).system
+    system = twin(case(loop).system) if native else case(loop).system
     resolved = system.resolve()
     names = [member.name for member in resolved.members]
     return {

@@ -10,7 +10,7 @@ import pytest
 
 import build_fmu
 from congelation.errors import InvalidInput
-from congelation.export.spec import read_spec
+from congelation.export.spec import read_buildable, read_spec
 
 ROOT = Path(__file__).resolve().parents[2]
 GOOD = """
@@ -164,3 +164,98 @@ def test_a_python_without_the_packages_is_told_what_to_do():
 def test_command(tmp_path, capsys):
     assert exit_code("--spec", tmp_path / "none.toml") == 2
     assert "no such file" in capsys.readouterr().err
+
+
+OBSERVER = 'form = "observer"\n[structure]\nn = 2\nm = 0\n[units]\n'
+MATCHED = 'form = "matched"\n[structure]\nA = [[0, 1], [0, 0]]\nB = [0, 1]\n[units]\n'
+STRICT = 'form = "strict-feedback"\n[structure]\nn = 2\np = 1\nphibar = {"2,1" = [-1]}\n[units]\n'
+VARYING = STRICT.replace("[units]", 'gain = "varying"\n[units]')
+TRACKING = STRICT.replace("[units]", "tracking = true\n[units]")
+NONLINEAR = STRICT.replace('phibar = {"2,1" = [-1]}', 'phi = {1 = ["x[1]**2"]}')
+SCALAR = 'form = "scalar"\n[units]\n'
+REFERENCE = 'form = "reference"\n[structure]\nn = 2\n[units]\n'
+DELAY = 'form = "delay"\n[units]\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "place", "unit"),
+    [
+        # y'' = b u - a_1 y' - a_0 y
+        (
+            OBSERVER + 'theta = "1/s"\ny = "m"\nu = "N"',
+            "theta = '1/s'",
+            "theta[1] the unit 'm/s2/N'",
+        ),
+        (
+            OBSERVER + 'theta = ["m/s2/N", "1/s2", "1/s2"]\ny = "m"\nu = "N"',
+            "theta = '1/s2'",
+            "theta[2] the unit '1/s'",
+        ),
+        (OBSERVER + 'theta = ["V", "1/s", "1/s"]', "theta = '1/s'", "theta[3] the unit '1/s2'"),
+        (OBSERVER + 'y = "m"\nx = ["m", "m"]', "x = 'm'", "x[2] the unit 'm/s'"),
+        (OBSERVER + 'y = "m"\nx = ["km", "km/s"]', "x = 'km'", "x[1] the unit 'm'"),
+        (OBSERVER + 'y = "m"\nu = "N"\nrho_hat = "1"', "rho_hat = '1'", "the unit 'N.s2/m'"),
+        (OBSERVER + 'y = "m"\nu = "N"\nz = ["m", "m/s"]', "z = 'm/s'", "z[2] the unit 'N.s'"),
+        # x_2' = u + theta_1 x_1 + theta_2 x_2, with B and A in units of their own
+        (
+            MATCHED + 'x = ["m", "m/s"]\nu = "N"\ntheta = "1/s"',
+            "theta = '1/s'",
+            "theta[1] the unit 'N/m'",
+        ),
+        (MATCHED + 'x = ["deg", "rad/s"]', "x = 'rad/s'", "x[2] the unit 'deg/s'"),
+        (STRICT + 'x = ["m", "m/s"]\nu = "N"', "u = 'N'", "give the unit 'm/s2'"),
+        (STRICT + 'theta = "1/s"', "theta = '1/s'", "theta[1] the unit '1/s2'"),
+        (STRICT + 'x = ["A", "V"]', "x = 'V'", "x[2] the unit 'A/s'"),
+        (STRICT + 'x = ["A", "A/s"]\nz = ["A", "A"]', "z = 'A'", "z[2] the unit 'A/s'"),
+        (
+            VARYING + 'x = ["m", "m/s"]\nu = "kN"\ntheta = "1/s2"',
+            "'1/s2'",
+            "theta[2] the unit 'm/s2/kN'",
+        ),
+        (TRACKING + 'x = ["m", "m/s"]\nyr = "m"', "yr = 'm'", "yr[1] the unit 'm/s'"),
+        (
+            NONLINEAR + 'x = ["m", "m/s"]\ntheta = "1/s"',
+            "theta = '1/s'",
+            "theta[1] the unit '1/m/s'",
+        ),
+        (SCALAR + 'x = "m"\nu = "N"', "u = 'N'", "give the unit 'm/s'"),
+        (SCALAR + 'theta = "1/min"', "theta = '1/min'", "theta[1] the unit '1/s'"),
+        (REFERENCE + 'yr = ["m", "m/s", "m/s"]', "yr = 'm/s'", "yr[2] the unit 'm/s2'"),
+        (DELAY + 'u = "m"\ny = "s"', "y = 's'", "y[1] the unit 'm'"),
+    ],
+)
+def test_units_that_the_equations_do_not_admit(tmp_path, text, place, unit):
+    file = tmp_path / "spec.toml"
+    file.write_text(text)
+    with pytest.raises(InvalidInput) as told:
+        read_buildable(file)
+    line = str(told.value)
+    assert line.startswith(f"{file}: units.")
+    assert place in line
+    assert line.endswith(unit)
+    assert " does not fit the equation " in line
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        OBSERVER + 'theta = ["m/s2/N", "1/s", "1/s2"]\ny = "m"\nu = "N"\nx = ["m", "m/s"]',
+        OBSERVER + 'theta = ["rad/s2/V", "1/s", "1/s2"]\ny = "deg"\nu = "V"'.replace("rad", "deg"),
+        OBSERVER + 'y = "m"\nu = "N"',
+        MATCHED + 'x = ["rad", "1/s"]\nu = "N.m"\ntheta = ["N.m", "N.m.s"]',
+        STRICT + 'x = ["m", "m/s"]\nu = "N/kg"\ntheta = "1/s2"',
+        STRICT.replace("-1", "9.81") + 'x = ["m", "m/s"]\ntheta = "1/m"',  # 9.81 m/s2
+        VARYING + 'x = ["m", "m/s"]\nu = "kN"\ntheta = ["1/s2", "1/t"]',
+        NONLINEAR.replace("x[1]**2", "sin(x[1])") + 'x = ["rad", "rad/s"]\ntheta = "1/s"',
+        NONLINEAR.replace("x[1]**2", "9.81*x[1]") + 'x = ["m", "m/s"]\ntheta = "s/m"',
+        SCALAR + 'x = "Pa"\nu = "N/m2/s"\ntheta = "Hz"',
+        REFERENCE + 'yr = ["m", "m/s", "m/s2"]\nr = "m"',
+    ],
+)
+def test_units_that_the_equations_admit(tmp_path, text):
+    file = tmp_path / "spec.toml"
+    file.write_text(text)
+    fmus = read_buildable(file).fmus
+    stated = [u for fmu in fmus for i in fmu.model.inputs for u in i.variables.units if u]
+    stated += [u for fmu in fmus for y in fmu.model.outputs for u in y.variables.units if u]
+    assert stated

@@ -17,6 +17,8 @@ from congelation.fmi.archive import check_archive, unpack_archive
 from congelation.fmi.description import describe
 from congelation.scenario.load import load_scenario
 from tests.scenarios import FMUS, ROOT, write
+from tests.studies import command as congelation
+from tests.studies import last_line
 
 
 def pack(file: Path, *names: str, content: bytes = b"") -> Path:
@@ -144,6 +146,36 @@ def test_another_kind_of_file_for_a_scenario_is_named(file: Path, message: str) 
     with pytest.raises(InvalidInput) as told:
         load_scenario(file)
     assert str(told.value).startswith(f"{file}: {message}")
+
+
+@pytest.mark.parametrize("command", ["info", "check"])
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("a.toml", "this is a TOML file, not an FMU; a scenario is run (congelation run "),
+        ("a.ssp", "this is an SSP archive, not an FMU; run it with: congelation run "),
+        ("a.fmu", "this is an SSP archive, not an FMU; run it with: congelation run "),
+    ],
+)
+def test_another_kind_of_file_for_an_fmu_is_named(
+    tmp_path: Path, command: str, name: str, message: str
+) -> None:
+    file = tmp_path / name
+    if file.suffix == ".toml":
+        file.write_text('title = "a"\n')
+    else:
+        pack(file, "SystemStructure.ssd")
+    done = congelation(command, file)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert last_line(done, 2).startswith(f"congelation: {file}: {message}")
+
+
+@pytest.mark.parametrize("command", ["attack", "tune"])
+def test_what_is_no_scenario_or_spec_is_refused_without_a_bar(tmp_path: Path, command: str) -> None:
+    file = pack(tmp_path / "a.toml", "modelDescription.xml")
+    done = congelation(command, file, "--out", tmp_path / "out")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.startswith(f"congelation: {file}: this is an FMU; check it with")
 
 
 def test_another_kind_of_file_for_a_spec_is_named(tmp_path: Path) -> None:

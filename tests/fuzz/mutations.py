@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from tests.scenarios import FMUS
 
-__all__ = ["ARCHIVES", "KEYS", "Mutation"]
+__all__ = ["ARCHIVES", "FILES", "KEYS", "SPEC", "SPECS", "SYSTEMS", "Mutation"]
 
 Change = Callable[[random.Random], tuple[str, str]]
 
@@ -29,11 +29,14 @@ class Mutation:
     change : callable
         From random numbers to (what stands in the text, what takes its place).
     code : int
-        Exit code of ``congelation run``.
+        Exit code of the command: ``congelation run`` of a scenario or an SSP archive, ``congelation
+        build`` of a spec.
     says : str
         Regular expression that the last line of stderr has; of a code of 0, that none has.
     same : str
         Column of the row that keeps its value, where nothing else should change it.
+    entry : str
+        Of an SSP archive: the file in it whose text is changed.
     """
 
     name: str
@@ -41,6 +44,7 @@ class Mutation:
     code: int
     says: str = ""
     same: str = ""
+    entry: str = "SystemStructure.ssd"
 
 
 def word(rng: random.Random) -> str:
@@ -235,6 +239,291 @@ KEYS = (
 """Of a scenario file, by its text."""
 
 
+SPEC = """
+title = "A cart"
+form = "strict-feedback"
+
+[structure]
+n = 2
+p = 2
+phibar = {"1,1" = [-1, 0], "2,1" = [0, -1]}
+
+[units]
+x = ["m", "m/s"]
+u = "m/s2"
+theta = ["1/s", "1/s2"]
+
+[plant]
+name = "CartPlant"
+start = {x0 = [1, 0]}
+
+[plant.profile]
+"theta[1]" = [{constant = 1}, {sine = {amplitude = 0.2, omega = 3}}]
+"theta[2]" = [{constant = 1}]
+
+[controller]
+name = "CartController"
+start = {c = [1, 2], epsilon = 0.3, delta = 0.2, Gamma = [[1, 0], [0, 2]]}
+"""
+
+SPECS = (
+    # keys
+    Mutation("unknown key", _key("", "form"), 2, r"form is missing|is not known here"),
+    Mutation("unknown table", _to("[controller]", lambda r: f"[{word(r)}]"), 2, r"is not known"),
+    Mutation("no order", _to("n = 2", lambda r: ""), 2, r"structure\.n is missing"),
+    Mutation("form", _to('"strict-feedback"', lambda r: f'"{word(r)}"'), 2, r"form = '\w+' is not"),
+    Mutation(
+        "a key of another form", _to("n = 2", lambda r: "n = 2\nm = 1"), 2, r"structure\.m is not"
+    ),
+    Mutation(
+        "an order that is none",
+        _to("n = 2", lambda r: f"n = {no_number(r)}"),
+        2,
+        r"structure\.n = .* is not valid; give a whole number",
+    ),
+    Mutation(
+        "an order out of range",
+        _to("n = 2", lambda r: f"n = {r.choice([-1, 101, 10**9])}"),
+        2,
+        r"structure\.n = .* is not valid; give a whole number from 0 to 100",
+    ),
+    Mutation(
+        "a row that is none",
+        _to('"2,1"', lambda r: f'"{r.choice(["1,2", "0,1", "3,1", word(r)])}"'),
+        2,
+        r"structure\.phibar\..* is not known",
+    ),
+    Mutation(
+        "a row of another length",
+        _to("[0, -1]", lambda r: str([1] * r.choice([1, 3, 4]))),
+        2,
+        r"structure\.phibar\.2,1 = .* give 2 numbers",
+    ),
+    # values
+    Mutation("no name", _to('"CartPlant"', lambda r: f'"{word(r)} {word(r)}"'), 2, r"plant\.name"),
+    Mutation(
+        "one name", _to('"CartController"', lambda r: '"CartPlant"'), 2, r"is the plant's too"
+    ),
+    Mutation("start", _to("x0 = [1, 0]", lambda r: f"{word(r)} = 1"), 2, r"plant\.start.* is not"),
+    Mutation(
+        "gain of another size",
+        _to("c = [1, 2]", lambda r: f"c = {[1] * r.randint(3, 9)}"),
+        2,
+        r"controller\.start: c = .* is not valid; give 2",
+    ),
+    Mutation(
+        "gain that is not positive",
+        _to("epsilon = 0.3", lambda r: f"epsilon = {-number(r)!r}"),
+        2,
+        r"controller\.start: .*epsilon",
+    ),
+    Mutation(
+        "gain that is no matrix",
+        _to("[[1, 0], [0, 2]]", lambda r: f"[[1, {r.uniform(2, 9)!r}], [0, 2]]"),
+        2,
+        r"controller\.start: .*Gamma",
+    ),
+    Mutation(
+        "profile of none",
+        _to('"theta[1]"', lambda r: f'"theta[{r.randint(3, 9)}]"'),
+        2,
+        r"plant\.profile\.theta\[\d\] is not known",
+    ),
+    # units
+    Mutation("no unit", _to('"1/s2"]', lambda r: f'"{word(r)}"]'), 2, r"is no unit"),
+    Mutation(
+        "unit of theta",
+        _to('["1/s", "1/s2"]', lambda r: f'["1/s", "{r.choice(["1/s", "N", "m/s2", "1/h2"])}"]'),
+        2,
+        r"units\.theta = .* does not fit .*; give theta\[2\] the unit '1/s2'",
+    ),
+    Mutation(
+        "unit of x",
+        _to('["m", "m/s"]', lambda r: f'["m", "{r.choice(["m", "km/h", "rad/s", "V"])}"]'),
+        2,
+        r"units\.x = .* does not fit .*; give x\[2\] the unit 'm/s'",
+    ),
+    Mutation(
+        "unit of u",
+        _to('"m/s2"', lambda r: f'"{r.choice(["N", "m", "mm/s2", "W"])}"'),
+        2,
+        r"units\.u = .* does not fit .*; give the unit 'm/s2'",
+    ),
+    # what changes nothing that is checked
+    Mutation("equal unit", _to('"m/s2"', lambda r: f'"{r.choice(["N/kg", "m.s-2"])}"'), 0),
+    Mutation("title", _to("A cart", lambda r: word(r)), 0),
+)
+"""Of a spec, by its text."""
+
+_LINK = 'startElement="plant" startConnector="x" endElement="controller" endConnector="x"/>'
+_OUTER = (
+    '<ssd:Connector name="force" kind="input"><ssc:Real/></ssd:Connector>',
+    '<ssd:Connection startConnector="force" endElement="plant" endConnector="u"/>',
+)
+
+SYSTEMS = (
+    Mutation("no XML", _to("</ssd:System>", lambda r: ""), 2, r"SystemStructure\.ssd: no XML"),
+    Mutation(
+        "no kind", _to('kind="input"', lambda r: f'kind="{word(r)}"'), 2, r"line \d+: Element"
+    ),
+    Mutation(
+        "no source",
+        _to("resources/ScalarPlant.fmu", lambda r: f"resources/{word(r)}.fmu"),
+        2,
+        r"component 'plant': there is no 'resources/\w+\.fmu'",
+    ),
+    Mutation(
+        "a source outside",
+        _to("resources/ScalarPlant.fmu", lambda r: r.choice(["../", "/etc/"]) + word(r)),
+        2,
+        r"component 'plant': there is no",
+    ),
+    Mutation(
+        "a system in it",
+        _to("</ssd:Elements>", lambda r: f'<ssd:System name="{word(r)}"/></ssd:Elements>'),
+        2,
+        r"only systems of FMUs can be run",
+    ),
+    Mutation(
+        "no connector",
+        _to(_LINK, lambda r: _LINK.replace('"x"', f'"{word(r)}"', 1)),
+        2,
+        r"no connector 'plant\.\w+'",
+    ),
+    Mutation(
+        "no element",
+        _to(_LINK, lambda r: _LINK.replace('"plant"', f'"{word(r)}"')),
+        2,
+        r"no connector '\w+\.x'",
+    ),
+    Mutation(
+        "a transformation",
+        _to(
+            _LINK,
+            lambda r: (
+                f'{_LINK[:-2]}><ssc:LinearTransformation factor="{number(r)!r}"/></ssd:Connection>'
+            ),
+        ),
+        2,
+        r"a transformation; put it into an FMU",
+    ),
+    Mutation(
+        "no connector of the system",
+        _to("<ssd:Connections>", lambda r: f"<ssd:Connections>{_OUTER[1]}"),
+        2,
+        r"connector 'force' of the system",
+    ),
+    Mutation(
+        "a mapping",
+        _to(
+            '<ssd:ParameterBinding source="resources/plant.ssv"/>',
+            lambda r: (
+                '<ssd:ParameterBinding source="resources/plant.ssv"><ssd:ParameterMapping '
+                'source="a.ssm"/></ssd:ParameterBinding>'
+            ),
+        ),
+        2,
+        r"parameter mapping",
+    ),
+    Mutation(
+        "no parameters",
+        _to("resources/plant.ssv", lambda r: f"resources/{word(r)}.ssv"),
+        2,
+        r"component 'plant': there is no 'resources/\w+\.ssv'",
+    ),
+    Mutation(
+        "no stop",
+        _to(' stopTime="1.0"', lambda r: ""),
+        0,  # the annotation has it
+        same="metric.peak_x",
+    ),
+    Mutation(
+        "stop before start",
+        _to('stopTime="1.0"', lambda r: f'stopTime="{-number(r)!r}"'),
+        2,
+        r"stop_time = -.* is not valid",
+    ),
+    Mutation(
+        "no stop that is a number",
+        _to('stopTime="1.0"', lambda r: f'stopTime="{word(r)}"'),
+        2,
+        r"SystemStructure\.ssd, line \d+: Element ",
+    ),
+    Mutation(
+        "annotation",
+        _to('"step": 0.01', lambda r: f'"step": {word(r)}'),
+        2,
+        r"annotation .* no JSON",
+    ),
+    Mutation(
+        "coupling",
+        _to('"derivative"', lambda r: f'"{word(r)}"'),
+        2,
+        r"experiment\.coupling = '\w+' is not known",
+    ),
+    Mutation(
+        "value",
+        _to('<ssv:Real value="1.0"/>', lambda r: f'<ssv:Real value="{word(r)}"/>'),
+        2,
+        r"resources/plant\.ssv, line \d+",
+        entry="resources/plant.ssv",
+    ),
+    Mutation(
+        "type of a value",
+        _to('<ssv:Real value="1.0"/>', lambda r: '<ssv:String value="1.0"/>'),
+        2,
+        r"x0\[1\]': '1\.0' given, a number needed",
+        entry="resources/plant.ssv",
+    ),
+    Mutation(
+        "unit of a value",
+        _to('<ssv:Real value="0.3"/>', lambda r: '<ssv:Real value="0.3" unit="kg"/>'),
+        2,
+        r"unit = 'kg' is not the unit of",
+        entry="resources/plant.ssv",
+    ),
+    Mutation(
+        "an equal unit",
+        _to('<ssv:Real value="0.3"/>', lambda r: '<ssv:Real value="300" unit="ms"/>'),
+        0,
+        same="metric.peak_x",
+        entry="resources/plant.ssv",
+    ),
+    Mutation(
+        "parameter of none",
+        _to('name="x0[1]"', lambda r: f'name="{word(r)}"'),
+        0,
+        r"there is no variable for the parameter 'plant\.\w+'",
+        entry="resources/plant.ssv",
+    ),
+    Mutation(
+        "gain",
+        _to('<ssv:Real value="0.3"/>', lambda r: f'<ssv:Real value="{-number(r)!r}"/>'),
+        1,
+        r"epsilon = .* is refused: it must be positive",
+        entry="resources/controller.ssv",
+    ),
+    Mutation(
+        "description",
+        _to('description="A short loop"', lambda r: f'description="{word(r)}"'),
+        0,
+        same="metric.peak_x",
+    ),
+    Mutation(
+        "the order of connectors",
+        _to(
+            _LINK,
+            lambda r: (
+                'startElement="controller" startConnector="x" endElement="plant" endConnector="x"/>'
+            ),
+        ),
+        0,
+        same="metric.peak_x",
+    ),
+)
+"""Of an SSP archive, by the text of a file in it."""
+
+
 def _cut(rng: random.Random, data: bytes) -> bytes:
     return data[: rng.randrange(len(data) // 2)]
 
@@ -253,3 +542,11 @@ ARCHIVES: tuple[tuple[str, Callable[[random.Random, bytes], bytes], str], ...] =
     ("noise", lambda rng, data: rng.randbytes(rng.randint(1, 9999)), r"is not an FMU"),
 )
 """Of an FMU, by its bytes; each is refused with exit code 2."""
+
+FILES: tuple[tuple[str, Callable[[random.Random, bytes], bytes], str], ...] = (
+    ("cut", _cut, r"is not an SSP archive"),
+    ("end cut", _flipped, r"is not an SSP archive"),
+    ("empty", lambda rng, data: b"", r"is not an SSP archive"),
+    ("text", lambda rng, data: word(rng).encode(), r"is not an SSP archive"),
+)
+"""Of an SSP archive, by its bytes; each is refused with exit code 2."""

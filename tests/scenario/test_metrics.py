@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.interpolate import PchipInterpolator
 
 from congelation.errors import InvalidInput
 from congelation.scenario.metrics import ENTRY_POINTS, METRICS, metric, norm
@@ -163,3 +164,16 @@ def test_an_unknown_metric_names_the_nearest() -> None:
     assert metric("peak") is METRICS["peak"]
     with pytest.raises(InvalidInput, match="'setling_time' is no metric; did you mean 'settling"):
         metric("setling_time")
+
+
+@pytest.mark.parametrize("count", [2, 3, 4, 50])
+def test_the_integral_is_that_of_scipy_s_monotone_cubic(count: int) -> None:
+    rng = np.random.default_rng(count)
+    for _ in range(50):
+        time = np.cumsum(rng.uniform(1e-3, 1.0, count))
+        # Small integers: data that turn, stay level, and have zeros.
+        values = rng.integers(-3, 4, count).astype(np.float64)
+        integrand = norm(values[:, np.newaxis]) ** 2
+        wanted = PchipInterpolator(time, integrand).integrate(time[0], time[-1])
+        found = METRICS["ise"].evaluate(time, values[:, np.newaxis])
+        np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-13)

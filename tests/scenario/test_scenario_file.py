@@ -198,6 +198,27 @@ def test_a_number_of_no_profile_is_refused_alike_everywhere(
     assert told[0].partition(places[0])[2] == told[1].partition(places[1])[2]
 
 
+@pytest.mark.parametrize(
+    "spelled",
+    ["plant.profile[1].square[1].period", "plant.profile.theta[1].square.period"],
+)
+@pytest.mark.parametrize(
+    ("text", "place"),
+    [
+        ("[[variants]]\nname = 'x'\nset = {'NAME' = -3.0}", "variants[3].set.plant"),
+        ("[sweep]\n[[sweep.axes]]\nset = 'NAME'\nvalues = [0.3, -3.0]", "axes[1].values[2].plant"),
+        ("[sweep]\nsamples = 2\n[[sweep.axes]]\nset = 'NAME'\nuniform = [-3, 1]", "axes[1].plant"),
+    ],
+)
+def test_a_number_that_makes_no_profile_is_refused(
+    tmp_path: Path, spelled: str, text: str, place: str
+) -> None:
+    with pytest.raises(InvalidInput) as told:
+        load_scenario(write(tmp_path, SCALAR + text.replace("NAME", spelled)))
+    assert f"{place}: profile[1].square[1].period = -" in str(told.value)
+    assert str(told.value).endswith("must be a finite number above 0")
+
+
 def test_a_whole_profile_and_a_number_of_it_exclude_each_other(tmp_path: Path) -> None:
     both = '{"plant.profile.theta[1]" = 1.0, "plant.profile.theta[1].sine.omega" = 4.0}'
     with pytest.raises(InvalidInput, match=r"omega gives 'profile\[1\].sine\[1\].omega' a second"):

@@ -12,14 +12,17 @@ import numpy as np
 import pytest
 from fmpy.ssp.ssd import read_ssd
 from lxml import etree
+from scipy.linalg import expm
 
-from congelation.cosim.system import System
+from congelation.cosim.experiment import Experiment
+from congelation.cosim.system import Component, Connection, System
 from congelation.errors import InvalidInput
 from congelation.results.results import Results
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
 from congelation.scenario.ssp import read_ssp, write_ssp
 from congelation.sweep.engine import run
+from tests.cosim.c_fmus import plain_fmu
 from tests.scenarios import FMUS, SCALAR, SHIPPED, write
 from tests.studies import last_line as one_line
 from tests.studies import process as congelation
@@ -217,6 +220,35 @@ def test_archives_of_other_tools_are_run_to_a_tolerance(archive: Path) -> None:
     assert [v.name for v in scenario.variants] == ["plain"]
     assert scenario.title == "A short loop"
     assert "plant.x" in experiment.record
+
+
+def test_a_linear_pair_of_held_inputs_takes_tens_of_steps(tmp_path: Path) -> None:
+    """x' = -x + w, x(0) = 1, and w' = -3 w - 2 x, each an FMU without derivatives, over 1 s."""
+    fmu = plain_fmu(tmp_path)
+    pair = Scenario(
+        title="A pair",
+        system=System(
+            (
+                Component("p", fmu, {"a": -1.0, "b1": 1.0, "x0": 1.0, "u2": 0.0}),
+                Component("c", fmu, {"a": -3.0, "b1": -2.0, "u2": 0.0}),
+            ),
+            (Connection("p.y", "c.u1"), Connection("c.y", "p.u1")),
+        ),
+        experiment=Experiment(stop_time=1.0, step=0.1),
+    )
+    write_ssp(pair, tmp_path / "pair.ssp")
+    found = read_ssp(without_annotations(tmp_path / "pair.ssp"))
+    assert found.experiment.step is None
+    assert found.experiment.tolerance == 1e-4
+    results = run(found, out=tmp_path / "out")
+    (row,) = results.runs
+    assert row.status == "COMPLETED"
+    assert row.steps is not None
+    assert 10 <= row.steps < 60
+    trajectory = results.trajectory(row.run_id)
+    end = dict(zip(trajectory.columns, trajectory.values[-1], strict=True))
+    exact = expm(np.array([[-1.0, 1.0], [-2.0, -3.0]])) @ [1.0, 0.0]
+    assert [end["p.y"], end["c.y"]] == pytest.approx(exact, abs=1e-3)
 
 
 def test_fmus_that_cannot_step_back_are_run_in_fixed_steps(archive: Path, tmp_path: Path) -> None:

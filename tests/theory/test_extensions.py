@@ -1,4 +1,5 @@
-"""State feedback beyond the paper: reference, varying gain, unknown radius, nonlinear regressors.
+"""State feedback beyond the paper: reference, varying gain, unknown radius, nonlinear regressors,
+structured variations.
 
 V' is that of the closed loop, not of the recursion; what each term of the law is for shows where it
 is left out.
@@ -18,7 +19,12 @@ from congelation.theory.lyapunov import output_feedback_certificate, state_feedb
 from congelation.theory.observer_form import observer_form_plant
 from congelation.theory.options import Options
 from congelation.theory.output_feedback import output_feedback_controller
-from congelation.theory.state_feedback import StateFeedbackDesign, state_feedback_controller
+from congelation.theory.state_feedback import (
+    StateFeedbackDesign,
+    state_feedback_controller,
+    state_feedback_design,
+    state_feedback_model,
+)
 from congelation.theory.strict_feedback import (
     Nonlinear,
     hadamard_defect,
@@ -59,7 +65,8 @@ def named(options):
 
 def random_parameters(rng, n, p, options):
     """Moderate ones: the certificate has to be told from rounding at order 4, too."""
-    values = random_state_feedback_parameters(rng, n, p)
+    q = len(options.Upsilon[0]) if options.Upsilon else p
+    values = random_state_feedback_parameters(rng, n, q)
     values |= {"epsilon": rng.uniform(0.7, 2), "delta": rng.uniform(0.1, 1)}
     if options.tracking:
         values["epsilon_r"] = rng.uniform(0.7, 2)
@@ -239,6 +246,111 @@ def test_derivation_at_order_4_of_4_parameters():
         assert model.output("u").numel() == 1
 
 
+# Structured variations: theta(t) = Upsilon(t) vartheta + theta_u(t).
+
+
+UPSILON = {
+    1: (("1", "sin(3*t)"),),
+    2: (("1", "sin(3*t)", "0"), ("0", "t", "cos(2*t)")),
+    3: (("1", "sin(3*t)"), ("exp(-t**2)", "0"), ("t/(1 + t**2)", "1")),
+}
+
+
+@pytest.mark.parametrize("options", [Options(), *EVERY], ids=named)
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 3), (4, 2)])
+def test_the_claim_holds_for_structured_variations(n, p, options):
+    options = dataclasses.replace(options, Upsilon=UPSILON[p])
+    law, parameters = (robust, {"sigma": 0.4}) if n == 3 else (gradient, {})
+    loop = random_loop(n + p, n, p, options, law, **parameters)
+    finding = state_feedback_certificate(loop).search(120, ascents=2)
+    assert not finding.violated, (finding.margin, finding.state)
+    assert finding.resolved > 0
+
+
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 3)])
+def test_known_variations_need_no_damping(n, p):
+    """delta = 0 and no damping: the classical law, for any rate of Upsilon(t)."""
+    loop = random_loop(n, n, p, Options(Upsilon=UPSILON[p]), delta=0.0, damping=0.0)
+    assert not state_feedback_certificate(loop).search(120, ascents=2).violated
+    loop = random_loop(n, n, p, Options(Upsilon=UPSILON[p]), delta=1.0, damping=0.0)
+    assert violated(loop)
+
+
+@pytest.mark.parametrize(("n", "p"), [(2, 2), (3, 3)])
+def test_the_rate_of_the_known_variations_has_to_be_in_the_law(monkeypatch, n, p):
+    """Without d alpha_{i-1}/dt, and its row E_i, V' grows with the rate of Upsilon(t)."""
+    gradient_of = state_feedback._gradient
+
+    def without(alpha, *symbols):
+        *rows, t = gradient_of(alpha, *symbols)
+        return [*rows, ca.SX(*t.shape)]
+
+    monkeypatch.setattr(state_feedback, "_gradient", without)
+    monkeypatch.setattr(state_feedback, "_time_factor", lambda design: design.symbols.row())
+    options = Options(Upsilon=(("1", "sin(30*t)"), ("cos(20*t)", "1"), ("0", "sin(9*t)"))[:p])
+    assert violated(random_loop(n, n, p, options, delta=0.0, damping=0.0))
+
+
+def factor_defect():
+    """The largest |x - T z| and |w_i - wbar_i z| of a law of order 3, relative to x and w."""
+    rng, options = np.random.default_rng(2), Options(Upsilon=UPSILON[2])
+    design = state_feedback_design(random_phibar(rng, 3, 2), options=options)
+    model = state_feedback_model(design)
+    values = random_parameters(rng, 3, 2, options) | {"x": rng.normal(size=3), "t": 0.3}
+    values["theta_hat"] = rng.normal(size=3)
+    x = ca.vertcat(*(step.T for step in design.steps)) @ design.z
+    pairs = [(design.symbols.x.symbol, x), *((s.w, s.wbar @ design.z) for s in design.steps)]
+    sides = numbers(model, [side for pair in pairs for side in pair], values)
+    return max(
+        np.abs(a - b).max() / np.abs(a).max() for a, b in zip(sides[::2], sides[1::2], strict=True)
+    )
+
+
+def test_the_factors_hold_the_rate_of_the_known_variations(monkeypatch):
+    """Lemma 1 with the row E_i, which the damping (26) is made of."""
+    assert factor_defect() < 1e-12
+    monkeypatch.setattr(state_feedback, "_time_factor", lambda design: design.symbols.row())
+    assert factor_defect() > 1e-3
+
+
+def test_first_order_structured_variations_by_hand():
+    rng, phibar = np.random.default_rng(3), 0.7
+    options = Options(Upsilon=(("1", "sin(3*t)"),))
+    model = state_feedback_controller([[[phibar]]], options=options)
+    v = random_parameters(rng, 1, 1, options)
+    c, eps, delta = (float(np.ravel(v[k])[0]) for k in ("c", "epsilon", "delta"))
+    for _ in range(20):
+        x, t = rng.normal(size=2)
+        estimate, Upsilon = rng.normal(size=2), np.array([1, np.sin(3 * t)])
+        state = {"x": x, "theta_hat": estimate, "t": t}
+        u, rate, clock = numbers(
+            model, [model.output("u"), *(s.rate for s in model.states)], {**v, **state}
+        )
+        damping = phibar**2 / (2 * eps**2) + eps**2 * delta**2 / 2
+        assert u.item() == pytest.approx(-(c + damping) * x - phibar * x * Upsilon @ estimate)
+        assert rate.ravel() == pytest.approx(v["Gamma"] @ Upsilon * phibar * x**2)
+        assert clock.item() == 1
+
+
+STRUCTURES_REFUSED = {
+    "rows": ((("1",),), "Upsilon has 1 rows of 1 formulas; valid: a row for each of the 2"),
+    "lengths": ((("1",), ("1", "t")), "rows of 1, 2 formulas"),
+    "no derivative": ((("sqrt(t**2)",), ("1",)), "has not 2 derivatives at t = 0"),
+    "pole": ((("1/t",), ("1",)), "has not 2 derivatives at t = 0"),
+    "state": ((("x[1]",), ("1",)), r"'x\[1\]' is no formula of numbers, t, "),
+    "name": ((("s",), ("1",)), "holds 's'; valid: t and pi"),
+    "square wave": ((("sgn(t)",), ("1",)), "holds sgn, which is not smooth"),
+}
+
+
+@pytest.mark.parametrize(
+    ("Upsilon", "message"), STRUCTURES_REFUSED.values(), ids=STRUCTURES_REFUSED
+)
+def test_structures_that_are_refused(Upsilon, message):
+    with pytest.raises(InvalidInput, match=message):
+        state_feedback_controller(options=Options(Upsilon=Upsilon))
+
+
 # The bound estimator, a rival.
 
 
@@ -270,8 +382,8 @@ def test_the_width_of_the_bound_estimator_has_to_fall_in_its_law(monkeypatch):
     gradient_of = state_feedback._gradient
 
     def without(alpha, *symbols):
-        *rows, eta = gradient_of(alpha, *symbols)
-        return [*rows, ca.SX(*eta.shape)]
+        *rows, eta, t = gradient_of(alpha, *symbols)
+        return [*rows, ca.SX(*eta.shape), t]
 
     monkeypatch.setattr(state_feedback, "_gradient", without)
     assert violated(estimator_loop(4, 2, 2, decay=50.0))

@@ -19,6 +19,7 @@ LAWS = {
     "VaryingGain": {},
     "UnknownRadius": {},
     "Nonlinear": {},
+    "Structured": {},
 }
 
 
@@ -185,6 +186,21 @@ MISTAKES = {
         'gain = "varying"\nlaw = "bound-estimator"',
         "excludes gain = 'varying'",
     ),
+    "structured variations of fewer parameters": (
+        'gain = "varying"',
+        'Upsilon = {1 = ["1", "sin(t)"]}',
+        r"structure\.Upsilon\.2 is missing",
+    ),
+    "structured variations of rows that differ": (
+        'gain = "varying"',
+        'Upsilon = {1 = ["1", "sin(t)"], 2 = ["1"]}',
+        r"structure\.Upsilon\.2 .*as many in each row",
+    ),
+    "structured variations that are not smooth": (
+        'gain = "varying"',
+        'Upsilon = {1 = ["sgn(t)"], 2 = ["1"]}',
+        "holds sgn, which is not smooth",
+    ),
     "a gain of another kind": ('gain = "varying"', 'gain = "fast"', "gain"),
 }
 
@@ -194,3 +210,49 @@ def test_one_line_says_what_is_wrong(tmp_path: Path, old: str, new: str, message
     with pytest.raises(InvalidInput, match=message) as caught:
         read_spec(changed(tmp_path, old, new))
     assert "\n" not in str(caught.value)
+
+
+STRUCTURED = (ROOT / "specs" / "structured.toml").read_text()
+
+
+def test_what_a_structure_leaves_has_to_be_within_the_radius(tmp_path: Path) -> None:
+    """The rest of theta(t), not its box: 0.4 of the square wave and 0.4 of the fast sine."""
+    (found,) = certify(changed(tmp_path, "delta = 0.57", "delta = 0.57", STRUCTURED), samples=20)
+    assert found.verdict is Verdict.HOLDS
+    assert found.design.radius == pytest.approx(0.4 * np.sqrt(2), rel=1e-3)
+    (found,) = certify(changed(tmp_path, "delta = 0.57", "delta = 0.5", STRUCTURED), samples=20)
+    assert found.verdict is Verdict.ASSUMPTION_BROKEN
+    assert "theta_u(t) = theta(t) - Upsilon(t) vartheta" in found.reasons[0]
+
+
+def test_a_structure_that_explains_everything_needs_no_damping(tmp_path: Path) -> None:
+    """Sines alone, all of them known: the classical law, delta = 0."""
+    text = STRUCTURED.replace("    {square = {amplitude = 0.4, period = 1.3}},\n", "")
+    text = text.replace("    {sine = {amplitude = 0.4, omega = 20}},\n", "")
+    file = changed(tmp_path, "delta = 0.57", "delta = 0, damping = false", text)
+    (found,) = certify(file, samples=100, umax=100.0)
+    assert found.verdict is Verdict.HOLDS
+    assert found.design.radius == 0.0
+    assert "V does not bound Upsilon(t)" in found.unlevelled
+
+
+def test_the_set_of_a_law_has_to_hold_the_constants(tmp_path: Path) -> None:
+    """vartheta = (-3, 0.6, 2, 0.6) and not the centre of theta(t)."""
+    sets = "delta = 0.57, projection_ball = true, theta_center = [-3, 0, 2, 0], theta_bound = "
+    for bound, verdict in (("1", Verdict.HOLDS), ("0.5", Verdict.ASSUMPTION_BROKEN)):
+        file = changed(tmp_path, "delta = 0.57", sets + bound, STRUCTURED)
+        (found,) = certify(file, samples=20)
+        assert found.verdict is verdict
+
+
+@pytest.mark.slow
+def test_structured_variations_keep_to_their_claim_along_a_run(tmp_path: Path) -> None:
+    text = (ROOT / "scenarios" / "structured.toml").read_text()
+    assert "stop_time = 20.0" in text
+    file = tmp_path / "scenario.toml"
+    file.write_text(text.replace("stop_time = 20.0", "stop_time = 3.0"))
+    damped, free = cg.run(file, out=tmp_path / "out").runs
+    assert damped.metrics["margin"] < 1e-9
+    assert free.metrics["margin"] > 1e-3
+    with pytest.raises(InvalidInput, match="which an attack would break"):
+        cg.attack(file, effort=0.01)

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
+from functools import cache
 from types import MappingProxyType
 from typing import Any, get_args, get_type_hints
 
@@ -61,7 +62,7 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
     kind = COUPLINGS[name]
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]  # every coupling is a dataclass
     known = [field.name for field in fields]
-    types = get_type_hints(kind)
+    types = _types(kind)
     given = dict(options or {})
     for option, value in given.items():
         if option not in known:
@@ -75,6 +76,12 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
         return kind(**given)
     except InvalidInput as error:
         raise InvalidInput(f"coupling '{name}': {error}") from error
+
+
+@cache
+def _types(kind: type[Coupling]) -> Mapping[str, Any]:
+    """The types of a coupling's options; to find them takes longer than a short run."""
+    return get_type_hints(kind)
 
 
 _WANTED = {float: "a number", int: "an integer", str: "a text"}

@@ -71,6 +71,10 @@ class Stepper(ABC, Generic[S]):
     order: int = 1
     halves: bool = False
 
+    def renew(self) -> None:
+        """Forget what an earlier run took."""
+        self.iterations = 0
+
     @abstractmethod
     def start(self, time: float, before: S | None) -> S:
         """The state at the start, or after a jump, where outputs and inputs agree.
@@ -188,12 +192,16 @@ class Watch:
 
     def __init__(self, nominal: Floats, *, extrapolated: bool) -> None:
         self._nominal = nominal
+        self._largest = 0.0
         # What inputs start a step from: values, and derivatives where they follow them.
         shape = (2, len(nominal)) if extrapolated else (len(nominal),)
         self._rows: Floats = np.zeros((WATCHED_ROWS, *shape))
         self._extrapolated = extrapolated
         self._times: list[float] = []
-        self._largest = 0.0
+
+    def clear(self) -> None:
+        """Forget an earlier run."""
+        self._times, self._largest = [], 0.0
 
     def row(self, time: float) -> Floats:
         """A row for what inputs start the next step from, shape (L,) or (2, L), to be filled."""
@@ -226,7 +234,8 @@ class Watch:
             if self._extrapolated:
                 change -= np.diff(self._times)[:, None] * rows[:-1, 1]
             relative = np.abs(change) / (self._nominal + np.abs(values[1:]))
-            self._largest = max(self._largest, float(relative.max()))
+            # The last step of a run that fails may have ended in a value that is no number.
+            self._largest = max(self._largest, float(np.fmax.reduce(relative, axis=None)))
         if count:
             self._rows[0] = rows[-1]
             self._times = self._times[-1:]

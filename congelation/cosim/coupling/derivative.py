@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,11 +13,11 @@ from congelation.cosim.coupling.base import AdaptiveStepper, Coupling, Trial, Wa
 from congelation.cosim.coupling.points import LinkReader, Points
 from congelation.cosim.coupling.polynomial import hermite, product
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.exchange import Exchange
+from congelation.cosim.exchange import Exchange, settle_discrete
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 
-__all__ = ["Derivative", "DerivativeStepper"]
+__all__ = ["Derivative", "DerivativePlan", "DerivativeStepper"]
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -81,6 +81,29 @@ class Derivative(Coupling):
         return DerivativeStepper(ensemble, exchange, self, takes_back=tolerance is not None)
 
 
+class DerivativePlan(NamedTuple):
+    """What `derivative` is on a system, for the compiled loop.
+
+    Parameters
+    ----------
+    halves : bool
+        Whether steps are made again in halves.
+    sequential, exchanges : bool
+        Whether slaves see what others before them have done, and whether outputs and inputs are
+        made to agree after each step.
+    reaches_end : list of bool, one per slave
+        Whether its outputs are read for what held inputs are at the end.
+    ahead : boolean array, shape (slaves, L)
+        The links whose target is that slave, and whose source steps before it.
+    """
+
+    halves: bool
+    sequential: bool
+    exchanges: bool
+    reaches_end: list[bool]
+    ahead: Mask
+
+
 class DerivativeStepper(AdaptiveStepper[Points]):
     """`derivative` at work."""
 
@@ -90,6 +113,7 @@ class DerivativeStepper(AdaptiveStepper[Points]):
         self._ensemble = ensemble
         self._exchange = exchange
         self._reader = LinkReader(ensemble)
+        self.first_change = FIRST_CHANGE
         self._sequential = coupling.sequence == "gauss_seidel"
         self._watches = not takes_back
         # Loops are solved at every communication point; for plain feedthrough the sequence of
@@ -113,19 +137,19 @@ class DerivativeStepper(AdaptiveStepper[Points]):
             + 2 * sum(self._reaches_end)
         )
 
-    def plan(self) -> npt.NDArray[np.uint8] | None:
-        """The same as data, shape (slaves, L): of each link the highest derivative that its input
-        takes, where its source steps before its target, that slave; else 0. None where the compiled
-        loop does not do it."""
-        if self.halves or self._exchanges or any(self._reaches_end) or not self._sequential:
-            return None
-        links, order = self._ensemble.links, self._ensemble.order
-        slaves = range(len(self._ensemble.slaves))
+    def plan(self) -> DerivativePlan:
+        """The same as data."""
+        links, slaves = self._ensemble.links, range(len(self._ensemble.slaves))
         ahead = [
-            [order[k] if link.source < link.target == m else 0 for k, link in enumerate(links)]
-            for m in slaves
+            [self._sequential and link.source < link.target == m for link in links] for m in slaves
         ]
-        return np.array(ahead, np.uint8).reshape(len(slaves), len(links))
+        return DerivativePlan(
+            self.halves,
+            self._sequential,
+            self._exchanges,
+            self._reaches_end,
+            np.array(ahead, bool).reshape(len(slaves), len(links)),
+        )
 
     def _interpolated(self, m: int) -> tuple[Mask | None, Mask | None, Mask | None] | None:
         """The links into slave m that can be interpolated, as their sources have stepped already:
@@ -142,6 +166,10 @@ class DerivativeStepper(AdaptiveStepper[Points]):
             held if held.any() else None,
         )
 
+    def renew(self) -> None:
+        super().renew()
+        self.watch.clear()
+
     def start(self, time: float, before: Points | None) -> Points:
         state = Points.begun(time, self._reader.start())
         if self._watches:  # otherwise each trial has an error of its own
@@ -151,7 +179,7 @@ class DerivativeStepper(AdaptiveStepper[Points]):
     def advance(self, state: Points, time: float, end: float) -> Points:
         state, _ = self._step(state, time, end)
         self.watch.row(end)[:] = state.now
-        self._ensemble.copy_discrete()
+        settle_discrete(self._ensemble, end)
         return state
 
     def attempt(self, state: Points, time: float, end: float) -> Trial[Points]:
@@ -210,7 +238,7 @@ class DerivativeStepper(AdaptiveStepper[Points]):
         return state.followed(end, reader.end(state, end, w)), w
 
     def first_step(self, state: Points) -> float:
-        return self._reader.time_scale(state.now) * FIRST_CHANGE
+        return self._reader.time_scale(state.now) * self.first_change
 
     def largest_error(self) -> float:
         return self.watch.largest()

@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 
 from congelation.cosim.coupling.base import Coupling, Stepper, Watch
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.exchange import Exchange
+from congelation.cosim.exchange import Exchange, settle_discrete
 from congelation.errors import InvalidInput
 
 __all__ = ["GaussSeidel", "Jacobi", "Sampled"]
@@ -52,10 +52,16 @@ class _HeldStepper(Stepper[None]):
         self._ensemble = ensemble
         self._Y, self._source = ensemble.Y, ensemble.source
         self._discrete = bool(ensemble.system.discrete_links)
+        # Where outputs follow from inputs at once, rows hold those of the newest inputs.
+        self._passes_on = self._discrete and ensemble.discrete_feedthrough
         self._watch = Watch(ensemble.nominal, extrapolated=False)
         self.iterations = 0
         held = sum(map(bool, ensemble.write_calls))
         self.calls_per_iteration = held + len(ensemble.slaves) + sum(ensemble.read_calls)
+
+    def renew(self) -> None:
+        super().renew()
+        self._watch.clear()
 
     def start(self, time: float, before: None) -> None:
         self._Y.take(self._source, out=self._watch.row(time), mode="clip")
@@ -107,11 +113,13 @@ class JacobiStepper(_HeldStepper):
         for hold in self._hold:
             hold()
         if self._discrete:
-            self._ensemble.copy_discrete()
+            settle_discrete(self._ensemble, time)
         for step in self._step:
             step(time, length)
         for read in self._read:
             read()
+        if self._passes_on:
+            settle_discrete(self._ensemble, end)
         self.iterations += 1
         self._Y.take(self._source, out=self._watch.row(end), mode="clip")
 
@@ -159,9 +167,11 @@ class GaussSeidelStepper(_HeldStepper):
             self._Y.take(source, out=inputs, mode="clip")
             hold()
             if self._discrete:
-                self._ensemble.copy_discrete()
+                settle_discrete(self._ensemble, end)
             step(time, length)
             read()
+        if self._passes_on:
+            settle_discrete(self._ensemble, end)
         self.iterations += 1
         self._Y.take(self._source, out=self._watch.row(end), mode="clip")
 
@@ -243,6 +253,10 @@ class _SampledStepper(Stepper[Samples]):
         self._watch = Watch(ensemble.nominal, extrapolated=False)
         self.iterations = 0
         self.calls_per_iteration = len(ensemble.slaves) + sum(ensemble.read_calls)
+
+    def renew(self) -> None:
+        super().renew()
+        self._watch.clear()
 
     def start(self, time: float, before: Samples | None) -> Samples:
         ensemble = self._ensemble

@@ -23,27 +23,27 @@ from congelation.cosim.coupling.interpolant import (
 from congelation.cosim.coupling.points import LinkReader, Points
 from congelation.cosim.coupling.polynomial import product
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.exchange import Exchange
+from congelation.cosim.exchange import Exchange, settle_discrete
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 from congelation.fmi.slave import StepDiscarded
 
-__all__ = ["Hermite", "HermiteState", "HermiteStepper", "Plan"]
+__all__ = ["Hermite", "HermitePlan", "HermiteState", "HermiteStepper"]
 
 Floats = npt.NDArray[np.float64]
 
 ACCELERATIONS = ("broyden", "none")
 
 SHARE_OF_TOLERANCE = 0.3
-"""Of a step's error tolerance, the part left to unfinished iterations."""
+"""Part of a step's error tolerance that is left to unfinished iterations."""
 
 SHARE_OF_HALVED = 1e-4
-"""The same where the error of a step is the difference of two solutions: what unfinished iterations
-leave in either must not show in it."""
+"""The same part where the error of a step is the difference of two solutions: unfinished iterations
+of either must not show in the difference."""
 
 HELD = 2
-"""Order where an input cannot follow the cubic, or a source says no derivative."""
+"""Order where an input cannot follow the cubic, or a source has no derivative."""
 
 FIRST_CHANGE = 3e-2
 """Share of its size by which an input may change over the first step that is tried."""
@@ -161,31 +161,41 @@ class HermiteState(NamedTuple):
     length: float
 
 
-class Plan(NamedTuple):
-    """What `hermite` is on a system whose inputs take cubics from sources with derivatives, for the
-    compiled loop.
+class HermitePlan(NamedTuple):
+    """What `hermite` is on a system, for the compiled loop.
 
     Parameters
     ----------
+    halves, saves : bool
+        Whether steps are made again in halves; whether fixed ones are repeated.
     highest : int
         LOW or HIGH.
     chooses : bool
         Whether each step may have another order.
     accelerates : bool
     max_iterations : int
-    accuracy : float
-        Change at which iterations end.
+    iterations : int
+        Plain ones, exactly so many; 0: as many as it takes.
+    accuracy, unsettled : float
+        Change at which iterations end, and at which they do where they better it no more.
+    holds_some : list of bool, one per slave
+        Whether an input takes no derivative.
     back : integer array, shape (n / 2,)
         The links that are fed back.
     forward : boolean array, shape (slaves, L)
         The links whose source is that slave, and steps before their target.
     """
 
+    halves: bool
+    saves: bool
     highest: int
     chooses: bool
     accelerates: bool
     max_iterations: int
+    iterations: int
     accuracy: float
+    unsettled: float
+    holds_some: list[bool]
     back: npt.NDArray[np.intp]
     forward: npt.NDArray[np.bool_]
 
@@ -236,6 +246,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         self._saves = coupling.rolls_back and tolerance is None
         self._accelerates = coupling.acceleration == "broyden"
         self._reader = LinkReader(ensemble)
+        self.first_change = FIRST_CHANGE
         self._highest = self._highest_order()
         self.halves = bool((ensemble.order < MAX_DERIVATIVE).any() or self._reader.inexact.size)
         self.order = HELD if self.halves else LOW
@@ -265,19 +276,21 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
             + 2 * sum(self._held)
         )
 
-    def plan(self) -> Plan | None:
-        """The same as data, for steps chosen by a tolerance; None where the compiled loop does not
-        do it."""
+    def plan(self) -> HermitePlan:
+        """The same as data."""
         coupling = self._coupling
-        if self.halves or coupling.iterations is not None or self._tolerance is None:
-            return None
         none = np.zeros(len(self._ensemble.links), bool)
-        return Plan(
+        return HermitePlan(
+            self.halves,
+            self._saves,
             self._highest,
-            coupling.order is None,
+            coupling.order is None and self._tolerance is not None,
             self._accelerates,
             coupling.max_iterations,
+            coupling.iterations or 0,
             self._accuracy,
+            self._unsettled,
+            self._held,
             self._feedback.start,
             np.array([none if mask is None else mask for mask in self._forward]),
         )
@@ -296,6 +309,10 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         if wanted is not None:
             return wanted
         return LOW if self._tolerance is None or unfit.any() else HIGH
+
+    def renew(self) -> None:
+        super().renew()
+        self._largest = 0.0
 
     def start(self, time: float, before: HermiteState | None) -> HermiteState:
         points = Points.begun(time, self._reader.start())
@@ -317,7 +334,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
                 f"(at most {self._coupling.max_iterations} are made)",
             )
         self._largest = max(self._largest, trial.error)
-        self._ensemble.copy_discrete()
+        settle_discrete(self._ensemble, end)
         return trial.state
 
     def attempt(self, state: HermiteState, time: float, end: float) -> Trial[HermiteState]:
@@ -416,7 +433,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         C[0, held] = mean[held]
         C[1, linear] = (w[2, linear] - w[0, linear]) / length
         rise = w[2, quadratic] - w[0, quadratic] - length * w[1, quadratic]
-        C[2, quadratic] = 2.0 * rise / length**2
+        C[2, quadratic] = 2.0 * rise / (length * length)
 
     def _relative(self, distance: Floats, new: Floats) -> tuple[float, int]:
         """The largest of distances, shape (L,), relative to nominal value plus size; and whose."""
@@ -425,7 +442,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         return float(relative[worst]), worst
 
     def first_step(self, state: HermiteState) -> float:
-        return self._reader.time_scale(state.points.now) * FIRST_CHANGE
+        return self._reader.time_scale(state.points.now) * self.first_change
 
     def largest_error(self) -> float:
         return self._largest

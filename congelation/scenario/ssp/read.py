@@ -37,9 +37,12 @@ __all__ = ["read_ssp"]
 _FMU = "application/x-fmu-sharedlibrary"
 _PARAMETER_SET = "application/x-ssp-parameter-set"
 
-# How an archive is run that does not say so, as those of other tools: to this tolerance if all
-# its FMUs can take a step back, otherwise with held inputs in so many steps.
+# How an archive is run that does not say so, as those of other tools: to a tolerance if all its
+# FMUs can take a step back, otherwise with held inputs in so many steps. The tolerance is the
+# larger one where an input can only be held: the number of steps then grows with its root, to
+# tens in a second for a slow linear system.
 _TOLERANCE = 1e-6
+_TOLERANCE_OF_HELD_INPUTS = 1e-4
 _STEPS = 1000
 
 
@@ -60,15 +63,18 @@ def read_ssp(file: Path, experiment: Mapping[str, object] | None = None) -> Scen
     surroundings = _surroundings(system, archive, components, ignored)
     names = _plain_names(components)
     components = {names[name]: component for name, component in components.items()}
+    connections = list(_connections(system, archive, names))
     document = {
         "title": root.get("description") or root.get("name"),
         **_annotated(root, archive),
         "components": components,
-        "connections": list(_connections(system, archive, names)),
+        "connections": connections,
         "open": [f"{names[name]}.{variable}" for name, variable in surroundings],
     }
     stated = document.get(EXPERIMENT)
-    document[EXPERIMENT] = _experiment(root, stated, components, archive, experiment or {})
+    document[EXPERIMENT] = _experiment(
+        root, stated, components, connections, archive, experiment or {}
+    )
     text = content.decode(errors="replace")
     scenario = Scenario.from_document(Section(str(file), "", document), file, text)
     warnings = [f"{file}: there is no variable for the parameter '{name}'" for name in ignored]
@@ -227,6 +233,7 @@ def _experiment(
     root: etree._Element,
     annotated: object,
     components: Mapping[str, Mapping[str, object]],
+    connections: Iterable[str],
     archive: Archive,
     given: Mapping[str, object],
 ) -> object:
@@ -253,9 +260,24 @@ def _experiment(
     if (annotated_step := _step_of_other_tools(root, archive)) is not None:
         return {"coupling": "jacobi", **table, "step": annotated_step}
     if all(describe(Path(str(c["fmu"]))).can_get_and_set_state for c in components.values()):
-        return {**table, "tolerance": _TOLERANCE}
+        smooth = all(_carries_polynomials(connection, components) for connection in connections)
+        return {**table, "tolerance": _TOLERANCE if smooth else _TOLERANCE_OF_HELD_INPUTS}
     step = (table["stop_time"] - table.get("start_time", 0.0)) / _STEPS
     return {"coupling": "jacobi", **table, "step": step}
+
+
+def _carries_polynomials(connection: str, components: Mapping[str, Mapping[str, object]]) -> bool:
+    """Whether the output of a connection has a derivative and its input takes one."""
+    names = (end.partition(".") for end in connection.split(" -> "))
+    (source, output), (target, driven) = (
+        (describe(Path(str(components[component]["fmu"]))), variable)
+        for component, _, variable in names
+    )
+    found = source.variables.get(output)
+    if found is not None and found.type != "Real":
+        return True  # Integer, Boolean and String values have none
+    has = source.max_output_derivative_order > 0 or f"der({output})" in source.variables
+    return has and (target.can_interpolate_inputs or f"der({driven})" in target.variables)
 
 
 def _step_of_other_tools(root: etree._Element, archive: Archive) -> float | None:
