@@ -12,7 +12,7 @@ help:
 	@echo "make test    the whole test suite"
 	@echo "make system-packages   what tests use that is no Python package (Debian, as root)"
 	@echo "make test-fast   the tests that are not marked slow"
-	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each, ten minutes of mutations, every rule on every FMU"
+	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each, ten minutes each of mutations and of calls of native FMUs, every rule on every FMU"
 	@echo "make check   format, lint, types, import layers"
 	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
 	@echo "make bench-coupling   error bars, work and precision on problems with known solutions"

@@ -32,7 +32,14 @@ loop = Extension(
     "congelation.cosim.loop",
     ["congelation/cosim/loop.c"],
     extra_compile_args=[] if os.name == "nt" else ["-std=c99", "-O2", "-ffp-contract=off"],
-    export_symbols=["loop_version", "run_adaptive", "run_derivative", "run_held", "work_size"],
+    export_symbols=[
+        "loop_version",
+        "run_adaptive",
+        "run_exchange",
+        "run_held",
+        "run_points",
+        "work_size",
+    ],
     optional=True,
 )
 

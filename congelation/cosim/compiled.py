@@ -20,18 +20,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.coupling.hermite import HermiteState, Plan
+from congelation.cosim.coupling.derivative import DerivativePlan
+from congelation.cosim.coupling.hermite import HermitePlan, HermiteState
 from congelation.cosim.coupling.points import KEPT, Points
-from congelation.cosim.ensemble import Ensemble, Transfer
+from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble, Transfer
 from congelation.cosim.exchange import Block, Exchange
 from congelation.cosim.recording import NODES, Columns, EveryStep, OutputGrid, Rows
-from congelation.cosim.step_control import StepSize
+from congelation.cosim.step_control import Halving, StepSize
 
 __all__ = [
     "CHUNK",
+    "DONE",
+    "FULL",
     "NOT_FINITE",
-    "REFUSED",
-    "UNSOLVED",
     "UNUSUAL",
     "CompiledHeld",
     "CompiledPolynomials",
@@ -39,6 +40,7 @@ __all__ = [
     "available",
     "fits",
     "library",
+    "load_library",
 ]
 
 Floats = npt.NDArray[np.float64]
@@ -83,7 +85,7 @@ class _Slave(ctypes.Structure):
         ("get_state", ctypes.c_void_p),
         ("free_state", ctypes.c_void_p),
         ("set_state", ctypes.c_void_p),
-        ("state", ctypes.c_void_p),
+        ("states", ctypes.c_void_p * 2),
         ("reads", ctypes.POINTER(_Call)),
         ("writes", ctypes.POINTER(_Call)),
         ("holds", ctypes.POINTER(_Call)),
@@ -92,8 +94,11 @@ class _Slave(ctypes.Structure):
         ("n_holds", ctypes.c_int),
         ("checked", ctypes.c_void_p),
         ("n_checked", ctypes.c_size_t),
+        ("holds_some", ctypes.c_int),
         ("forward", ctypes.c_void_p),
         ("ahead", ctypes.c_void_p),
+        ("steps_ahead", ctypes.c_int),
+        ("reaches_end", ctypes.c_int),
     ]
 
 
@@ -124,6 +129,8 @@ class Loop(ctypes.Structure):
         ("source", ctypes.c_void_p),
         ("source_derivative", ctypes.c_void_p),
         ("columns", ctypes.c_void_p),
+        ("order", ctypes.c_void_p),
+        ("inexact", ctypes.c_int),
         ("nominal", ctypes.c_void_p),
         ("blocks", ctypes.POINTER(_Block)),
         ("solving", ctypes.c_void_p),
@@ -143,6 +150,7 @@ class Loop(ctypes.Structure):
         ("steps", ctypes.c_long),
         ("rejected", ctypes.c_long),
         ("events_crossed", ctypes.c_long),
+        ("floors", ctypes.c_long),
         ("passes", ctypes.c_long),
         ("calls", ctypes.c_long),
         ("largest_error", ctypes.c_double),
@@ -151,6 +159,7 @@ class Loop(ctypes.Structure):
         ("status", ctypes.c_int),
         ("function", ctypes.c_char_p),
         ("time", ctypes.c_double),
+        ("level", ctypes.c_int),
     ]
 
 
@@ -161,8 +170,14 @@ class _Plan(ctypes.Structure):
         ("chooses", ctypes.c_int),
         ("accelerates", ctypes.c_int),
         ("max_iterations", ctypes.c_int),
+        ("iterations", ctypes.c_int),
+        ("saves", ctypes.c_int),
+        ("halves", ctypes.c_int),
+        ("sequential", ctypes.c_int),
+        ("exchanges", ctypes.c_int),
         ("tolerance", ctypes.c_double),
         ("accuracy", ctypes.c_double),
+        ("unsettled", ctypes.c_double),
         ("horizon", ctypes.c_double),
         ("first_change", ctypes.c_double),
         ("n_back", ctypes.c_ssize_t),
@@ -183,7 +198,7 @@ class _Grid(ctypes.Structure):
     ]
 
 
-class _Memory(ctypes.Structure):
+class _State(ctypes.Structure):
     _fields_ = [
         ("times", ctypes.c_double * KEPT),
         ("n_times", ctypes.c_int),
@@ -191,23 +206,41 @@ class _Memory(ctypes.Structure):
         ("table", ctypes.c_void_p),
         ("J", ctypes.c_void_p),
         ("length", ctypes.c_double),
+    ]
+
+
+class _Memory(ctypes.Structure):
+    _fields_ = [
+        ("state", _State),
         ("step", ctypes.c_double),
         ("error_before", ctypes.c_double),
         ("event", ctypes.c_double),
+        ("refused_length", ctypes.c_double),
+        ("refused_error", ctypes.c_double),
+        ("sizes", ctypes.c_void_p),
+        ("lasting", ctypes.c_void_p),
+        ("found", ctypes.c_double),
+        ("left", ctypes.c_int),
         ("rejected", ctypes.c_int),
         ("n_grids", ctypes.c_int),
         ("grids", ctypes.POINTER(_Grid)),
     ]
 
 
-VERSION = 3
+VERSION = 4
 """Version of the library that fits these structures; as in loop.c."""
 
 
 @cache
 def library() -> ctypes.CDLL | None:
     """The compiled loop; None where it was not built, or in another version."""
-    file = Path(__file__).with_name("loop" + str(sysconfig.get_config_var("EXT_SUFFIX")))
+    return load_library(
+        Path(__file__).with_name("loop" + str(sysconfig.get_config_var("EXT_SUFFIX")))
+    )
+
+
+def load_library(file: Path) -> ctypes.CDLL | None:
+    """The compiled loop in a file; None where it is none of this version."""
     try:
         found = ctypes.CDLL(str(file))
         if found.loop_version() != VERSION:
@@ -282,6 +315,8 @@ class _Compiled:
             source=self._address(ensemble.source),
             source_derivative=self._address(ensemble.source_derivative),
             columns=self._address(np.array([*starts, links], np.intp)),
+            order=self._address(ensemble.order.astype(np.uint8)),
+            inexact=bool((ensemble.source_derivative == NO_DERIVATIVE).any()),
             nominal=self._address(ensemble.nominal),
             blocks=(_Block * len(exchange.blocks))(*map(self._block, exchange.blocks)),
             solving=self._address(np.zeros(largest * (6 + 2 * largest))),
@@ -375,7 +410,8 @@ class _Compiled:
         loop.rows, loop.capacity, loop.n_rows = room.ctypes.data, len(room), 0
         loop.left = 0 if direct is None else direct.left
         loop.most = most
-        loop.steps = loop.rejected = loop.passes = loop.events_crossed = loop.calls = 0
+        loop.steps = loop.rejected = loop.events_crossed = loop.floors = 0
+        loop.passes = loop.calls = 0
         self._refusals = [slave.log.refusals for slave in self.ensemble.slaves]
         code = function(ctypes.byref(loop), *arguments)
         if direct is not None:
@@ -456,8 +492,7 @@ class CompiledPolynomials(_Compiled):
     ----------
     ensemble, rows, exchange, lands
         As of `_Compiled`.
-    plan : Plan or array
-        Of `hermite`; or that of `derivative`, shape (slaves, L).
+    plan : HermitePlan or DerivativePlan
     tolerance : float
         Of steps that are chosen by one; else any number.
     first_change : float
@@ -472,34 +507,43 @@ class CompiledPolynomials(_Compiled):
         rows: Sequence[Rows],
         exchange: Exchange,
         lands: bool,
-        plan: Plan | npt.NDArray[np.uint8],
+        plan: HermitePlan | DerivativePlan,
         tolerance: float,
         first_change: float,
         start: float,
         stop: float,
     ) -> None:
         super().__init__(ensemble, rows, exchange, lands, stop)
-        self._iterates = isinstance(plan, Plan)
+        self._iterates = isinstance(plan, HermitePlan)
         links, unknowns = len(ensemble.links), 0
         fields: dict[str, Any] = {}
-        if isinstance(plan, Plan):
+        if isinstance(plan, HermitePlan):
             unknowns = 2 * len(plan.back)
             fields = {
                 "highest": plan.highest,
                 "chooses": plan.chooses,
                 "accelerates": plan.accelerates,
                 "max_iterations": plan.max_iterations,
+                "iterations": plan.iterations,
+                "saves": plan.saves,
                 "accuracy": plan.accuracy,
+                "unsettled": plan.unsettled,
                 "n_back": len(plan.back),
                 "back": self._address(plan.back),
             }
+        else:
+            fields = {"sequential": plan.sequential, "exchanges": plan.exchanges}
         for m, slave in enumerate(self.loop.slaves[: len(ensemble.slaves)]):
-            if isinstance(plan, Plan):
+            if isinstance(plan, HermitePlan):
                 slave.forward = self._address(plan.forward[m].astype(np.uint8))
+                slave.holds_some = plan.holds_some[m]
             else:
-                slave.ahead = self._address(plan[m])
+                slave.ahead = self._address(plan.ahead[m].astype(np.uint8))
+                slave.steps_ahead = bool(plan.ahead[m].any())
+                slave.reaches_end = plan.reaches_end[m]
         self._plan = _Plan(
             iterates=self._iterates,
+            halves=plan.halves,
             tolerance=tolerance,
             first_change=first_change,
             horizon=stop - start,
@@ -510,9 +554,11 @@ class CompiledPolynomials(_Compiled):
         self._J = np.zeros((unknowns, unknowns))
         self._grids = _judging(rows)
         self._samples = [np.empty((NODES, grid.columns.sampled.size)) for grid in self._grids]
+        self._sizes, self._lasting = np.zeros(links), np.zeros(links)
         self._memory = _Memory(
-            table=self._address(self._table),
-            J=self._address(self._J),
+            state=_State(table=self._address(self._table), J=self._address(self._J)),
+            sizes=self._address(self._sizes),
+            lasting=self._address(self._lasting),
             n_grids=len(self._grids),
             grids=(_Grid * len(self._grids))(
                 *(
@@ -538,6 +584,7 @@ class CompiledPolynomials(_Compiled):
         size: StepSize,
         time: float,
         event: float,
+        halving: Halving,
         most: int,
     ) -> tuple[int, HermiteState | Points, StepSize, float, float]:
         """Step from `time` towards the stop time, at most `most` steps, those taken back included.
@@ -546,6 +593,8 @@ class CompiledPolynomials(_Compiled):
         ----------
         event : float
             The next jump; infinity where there is none.
+        halving : Halving
+            It is changed in place.
 
         Returns
         -------
@@ -558,10 +607,11 @@ class CompiledPolynomials(_Compiled):
         event : float
             The next jump from there.
         """
-        memory, ensemble = self._memory, self.ensemble
-        for m, handle in enumerate(ensemble.state_handles()):
-            self.loop.slaves[m].state = ctypes.addressof(handle)
+        memory = self._memory
+        self._handles()
         self._load(state)
+        self._sizes[:], self._lasting[:] = halving.sizes, halving.lasting
+        memory.left, memory.found = halving.left, halving.found
         memory.step, memory.error_before = size.length, size.error_before
         memory.rejected, memory.event = size.rejected, event
         # The compiled loop goes on from the points of the grids, and keeps its own; the grids get
@@ -579,23 +629,37 @@ class CompiledPolynomials(_Compiled):
             ctypes.byref(memory),
             ctypes.byref(now),
         )
+        halving.sizes, halving.lasting = self._sizes.copy(), self._lasting.copy()
+        halving.left, halving.found = memory.left, memory.found
         step = StepSize(memory.step, memory.error_before, bool(memory.rejected))
         return code, self._state(), step, now.value, memory.event
 
-    def fixed(self, state: Points, time: float, ends: Floats) -> tuple[int, Points]:
-        """Step from `time` to each of the points `ends`, by `derivative`.
+    @property
+    def refused(self) -> tuple[float, float] | None:
+        """Length and error of the last trial of the step that Python goes on with."""
+        memory = self._memory
+        return (memory.refused_length, memory.refused_error) if memory.refused_length else None
+
+    def fixed(
+        self, state: HermiteState | Points, time: float, ends: Floats
+    ) -> tuple[int, HermiteState | Points]:
+        """Step from `time` to each of the points `ends`.
 
         Returns
         -------
         code : int
-            DONE, FULL, or NOT_FINITE or REFUSED in the step that was the last one.
-        state : Points
+            DONE, FULL, UNUSUAL where the step that is next is for Python; or NOT_FINITE, REFUSED or
+            UNSOLVED in the step that was the last one.
+        state : HermiteState or Points
         """
         ends = np.ascontiguousarray(ends)
+        if self._plan.saves:
+            self._handles()
         self._load(state)
-        before, now = np.ascontiguousarray(state.now), ctypes.c_double(time)
+        points = state if isinstance(state, Points) else state.points
+        before, now = np.ascontiguousarray(points.now), ctypes.c_double(time)
         code = self.called(
-            self.library.run_derivative,
+            self.library.run_points,
             len(ends),
             ctypes.byref(self._plan),
             ctypes.byref(self._memory),
@@ -604,11 +668,20 @@ class CompiledPolynomials(_Compiled):
             ctypes.c_long(len(ends)),
             ctypes.c_void_p(before.ctypes.data),
         )
-        return code, self._points_now()
+        return code, self._state()
+
+    def _handles(self) -> None:
+        """Tell the compiled loop where the saved states of the FMUs are."""
+        ensemble = self.ensemble
+        for level in (0, 1) if self._plan.halves else (0,):
+            ensemble.level = level
+            for m, handle in enumerate(ensemble.state_handles()):
+                self.loop.slaves[m].states[level] = ctypes.addressof(handle)
+        ensemble.level = 0
 
     def _load(self, state: HermiteState | Points) -> None:
         """Give the compiled loop a state."""
-        memory = self._memory
+        memory = self._memory.state
         points = state if isinstance(state, Points) else state.points
         memory.times[: len(points.times)] = points.times
         memory.n_times = len(points.times)
@@ -618,11 +691,12 @@ class CompiledPolynomials(_Compiled):
             memory.order, memory.length = state.order, state.length
 
     def _points_now(self) -> Points:
-        return Points(tuple(self._memory.times[: self._memory.n_times]), self._table.copy())
+        state = self._memory.state
+        return Points(tuple(state.times[: state.n_times]), self._table.copy())
 
     def _state(self) -> HermiteState | Points:
         """The state that it has left."""
-        points, memory = self._points_now(), self._memory
+        points, memory = self._points_now(), self._memory.state
         if not self._iterates:
             return points
         return HermiteState(points, memory.order, self._J.copy(), memory.length)

@@ -453,8 +453,8 @@ class Ensemble:
             self.calls += len(self.slaves)
             return
         for slave, state in saved:
+            self.calls += 1 if state.value is None else 2
             slave.save_into(state)
-        self.calls += 2 * len(saved)
 
     def state_handles(self) -> list[State]:
         """The handles of the states that `save` saves over, one per slave, for compiled code."""

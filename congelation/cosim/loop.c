@@ -49,14 +49,16 @@ typedef struct {
     StepFunction step;
     GetStateFunction get_state, free_state;
     SetStateFunction set_state;
-    void **state;             /* saved at the start of the step */
+    void **states[2];         /* saved at the start of the step, and in the middle of one in halves */
     const Call *reads, *writes, *holds;
     int n_reads, n_writes, n_holds;
     const double *checked;    /* the part of Y in which every value has to be finite */
     size_t n_checked;
-    const unsigned char *forward;  /* the links whose source steps before their target, and is this */
-    const unsigned char *ahead;    /* the links whose target is this, and whose source steps before: the
-                                      highest derivative that the input takes; else 0 */
+    int holds_some;           /* whether an input takes no derivative */
+    const unsigned char *forward;  /* (L,): the links whose source steps before their target, and is this */
+    const unsigned char *ahead;    /* (L,): the links whose target is this, and whose source steps before */
+    int steps_ahead;          /* whether there are any */
+    int reaches_end;          /* outputs are read for what held inputs are at the end of a step */
 } Slave;
 
 /* Wires that are carried over together; Block of exchange.py. */
@@ -74,7 +76,10 @@ typedef struct {
     int n_slaves, which;      /* `which`: the slave, or block, that ended a run of steps */
     ptrdiff_t n_links;
     double *Y, *C;
-    const ptrdiff_t *source, *source_derivative, *columns;  /* `columns`: first link of each slave */
+    const ptrdiff_t *source, *source_derivative, *columns;  /* `columns`: first link of each slave; where
+                                 a source says no derivative, its place is -1 */
+    const unsigned char *order;  /* (L,): highest derivative that the input takes */
+    int inexact;              /* whether some source says no derivative */
     const double *nominal;
     const Block *blocks;
     double *solving;          /* of 6 n + 2 n^2 numbers, n being the size of the largest block that loops */
@@ -89,17 +94,18 @@ typedef struct {
     long every, left;
     long most;                /* steps after which to return, those taken back included */
     /* what became of it */
-    long steps, rejected, events_crossed, passes, calls;
+    long steps, rejected, events_crossed, floors, passes, calls;
     double largest_error;
     double counted, counted_before;  /* times of the last two steps that were counted */
     int status;               /* of the call that ended a run of steps */
     const char *function;     /* that call */
     double time;              /* at the beginning of its step */
+    int level;                /* of the states that are saved and restored */
 } Loop;
 
 /* Raised with each change of a structure or a function here: a library of another version, left over
    from an earlier installation, is not used. */
-EXPORT int loop_version(void) { return 3; }
+EXPORT int loop_version(void) { return 4; }
 
 static int refused(Loop *loop, int status, const char *function) {
     loop->status = status;
@@ -428,15 +434,23 @@ typedef struct {
     int n_times;
 } Grid;
 
-/* HermiteState and StepSize: what a run takes from one step to the next. */
+/* HermiteState, or Points alone: the state of a coupling at a communication point. */
 typedef struct {
     double times[KEPT];       /* the newest last */
     int n_times, order;
     double *table;            /* (2, KEPT, L): values and derivatives at these points, the newest last */
     double *J;                /* (n, n) */
     double length;            /* for which J holds; 0: there is none yet */
+} State;
+
+/* What a run takes from one step to the next besides; StepSize and Halving of step_control.py. */
+typedef struct {
+    State state;
     double step, error_before, event;
-    int rejected, n_grids;
+    double refused_length, refused_error;  /* of the last trial of a step that goes on; length 0: none */
+    double *sizes, *lasting;  /* (L,) */
+    double found;
+    int left, rejected, n_grids;
     Grid *grids;              /* those that judge steps */
 } Memory;
 
@@ -444,14 +458,23 @@ typedef struct {
 typedef struct {
     int iterates;             /* hermite; else derivative */
     int highest, chooses, accelerates, max_iterations;
-    double tolerance, accuracy, horizon;
+    int iterations;           /* plain ones, exactly so many; 0: as many as it takes */
+    int saves, halves, sequential, exchanges;
+    double tolerance, accuracy, unsettled, horizon;
     double first_change;      /* share of its size by which an input may change over a first step */
     ptrdiff_t n_back;         /* links that are fed back: n = 2 n_back unknowns */
     const ptrdiff_t *back;
     double *work;             /* of work_size(L, n) numbers */
 } Plan;
 
-EXPORT size_t work_size(size_t L, size_t n) { return 14 * L + 6 * n + 2 * n * n; }
+/* A trial of a step takes 14 L + 6 n + n^2 of it; then come the states of up to three trials, and what
+   halving compares. */
+enum { TRIALS = 3 };
+static size_t trial_size(size_t L, size_t n) { return 14 * L + 6 * n + n * n; }
+static size_t state_size(size_t L, size_t n) { return 2 * KEPT * L + n * n; }
+EXPORT size_t work_size(size_t L, size_t n) {
+    return trial_size(L, n) + TRIALS * state_size(L, n) + 4 * L;
+}
 
 /* `interpolation` of polynomial.py: weights of value and derivative at `at`, (2, 2 n). */
 static void interpolate(const double *nodes, int n, double at, double *weights) {
@@ -502,13 +525,38 @@ static void matched(double h, double g, double *M) {
     }
 }
 
+/* `differentiation` of polynomial.py: weights of value and derivative at `at` of the polynomial through
+   the nodes, (n,) each. */
+static void differentiate(const double *nodes, int n, double at, double *value, double *slope) {
+    double product = 1.0, distance = nodes[0] - at;
+    memset(value, 0, (size_t)n * sizeof *value);
+    memset(slope, 0, (size_t)n * sizeof *slope);
+    value[0] = 1.0;
+    for (int i = 1; i < n; i++) {
+        const double previous = distance;
+        double partial = 1.0;
+        distance = nodes[i] - at;
+        for (int j = 0; j < i; j++) {
+            const double gap = nodes[i] - nodes[j];
+            partial *= gap;
+            if (j == i - 1) {
+                slope[i] = product * (value[j] - previous * slope[j]) / partial;
+                value[i] = -product * previous * value[j] / partial;
+            }
+            slope[j] = (distance * slope[j] - value[j]) / gap;
+            value[j] = distance * value[j] / gap;
+        }
+        product = partial;
+    }
+}
+
 /* Values and derivatives at `end` by the polynomials through the newest point and `n` before it. */
-static void extrapolate(const Memory *memory, ptrdiff_t L, double end, const int *back, int n,
+static void extrapolate(const State *state, ptrdiff_t L, double end, const int *back, int n,
                         double *found) {
-    const double now = memory->times[memory->n_times - 1];
+    const double now = state->times[state->n_times - 1];
     double nodes[KEPT], weights[4 * KEPT];
     nodes[0] = 0.0;
-    for (int i = 0; i < n; i++) nodes[1 + i] = memory->times[memory->n_times - 1 - back[i]] - now;
+    for (int i = 0; i < n; i++) nodes[1 + i] = state->times[state->n_times - 1 - back[i]] - now;
     interpolate(nodes, n + 1, end - now, weights);
     for (int row = 0; row < 2; row++)
         for (ptrdiff_t k = 0; k < L; k++) {
@@ -517,25 +565,64 @@ static void extrapolate(const Memory *memory, ptrdiff_t L, double end, const int
                 for (int i = 0; i <= n; i++) {
                     const int place = KEPT - 1 - (i ? back[i - 1] : 0);
                     sum += weights[row * 2 * (n + 1) + kind * (n + 1) + i]
-                         * memory->table[(kind * KEPT + place) * L + k];
+                         * state->table[(kind * KEPT + place) * L + k];
                 }
             found[row * L + k] = sum;
         }
+}
+
+/* Points.predicted: value and derivative at `time` by the polynomial through a link's values. */
+static void predict(const State *state, ptrdiff_t L, double time, ptrdiff_t k, double *value,
+                    double *slope) {
+    const int n = state->n_times;
+    double nodes[KEPT] = {0.0}, of_value[KEPT], of_slope[KEPT];
+    for (int i = 0; i < n; i++) nodes[i] = state->times[i] - time;
+    differentiate(nodes, n, 0.0, of_value, of_slope);
+    *value = *slope = 0.0;
+    for (int i = 0; i < n; i++) {
+        const double known = state->table[(KEPT - n + i) * L + k];
+        *value += of_value[i] * known;
+        *slope += of_slope[i] * known;
+    }
+}
+
+/* LinkReader.end: the value of link k at the end of a step, and its derivative. Where the source says
+   none, it comes from the values, and the one at the start is improved. */
+static void read_end(const Loop *loop, const State *state, double end, ptrdiff_t k, double *at_start,
+                     double *value, double *slope) {
+    *value = loop->Y[loop->source[k]];
+    if (loop->source_derivative[k] >= 0) {
+        *slope = loop->Y[loop->source_derivative[k]];
+        return;
+    }
+    const ptrdiff_t L = loop->n_links;
+    const int n = state->n_times;
+    double nodes[KEPT + 1], of_value[KEPT + 1], of_start[KEPT + 1], of_end[KEPT + 1];
+    for (int i = 0; i < n; i++) nodes[i] = state->times[i] - end;
+    nodes[n] = end - end;
+    differentiate(nodes, n + 1, nodes[n - 1], of_value, of_start);
+    differentiate(nodes, n + 1, 0.0, of_value, of_end);
+    *at_start = *slope = 0.0;
+    for (int i = 0; i <= n; i++) {
+        const double known = i < n ? state->table[(KEPT - n + i) * L + k] : *value;
+        *at_start += of_start[i] * known;
+        *slope += of_end[i] * known;
+    }
 }
 
 static int save(Loop *loop) {
     for (int m = 0; m < loop->n_slaves; m++) {
         const Slave *slave = &loop->slaves[m];
         loop->which = m;
-        if (*slave->state) {
+        if (*slave->states[loop->level]) {
             *slave->note = slave->free_note;
-            slave->free_state(slave->component, slave->state);
+            slave->free_state(slave->component, slave->states[loop->level]);
             loop->calls++;
         }
-        *slave->state = NULL;
+        *slave->states[loop->level] = NULL;
         loop->calls++;
         *slave->note = slave->get_note;
-        const int status = slave->get_state(slave->component, slave->state);
+        const int status = slave->get_state(slave->component, slave->states[loop->level]);
         if (status > WARNING) return refused(loop, status, "fmi2GetFMUstate");
     }
     return DONE;
@@ -547,7 +634,7 @@ static int restore(Loop *loop) {
         loop->which = m;
         loop->calls++;
         *slave->note = slave->set_note;
-        const int status = slave->set_state(slave->component, *slave->state);
+        const int status = slave->set_state(slave->component, *slave->states[loop->level]);
         if (status > WARNING) return refused(loop, status, "fmi2SetFMUstate");
     }
     return DONE;
@@ -565,42 +652,76 @@ static double relative(const Loop *loop, const double *distance, const double *v
 
 /* What a trial of a step leaves besides the FMUs' states. */
 typedef struct {
-    double error, length;
-    int order, next_order;
+    double error;
+    int order;
 } Trial;
 
-/* `attempt` of hermite.py: iterate until the ends that are fed back settle. The values and derivatives
-   at the end are left in work + 10 L, and the Jacobian in `J`, which is the trial's own. */
-static int attempt(Loop *loop, const Plan *plan, const Memory *memory, double time, double end,
-                   double *J, Trial *trial) {
+static double sum_of_products(const double *row, const double *data, int n, ptrdiff_t L) {
+    double sum = 0.0;
+    for (int j = 0; j < n; j++) sum += row[j] * data[j * L];
+    return sum;
+}
+
+/* Send the inputs of a slave values alone, and read what it puts out for them. */
+static int read_for_values(Loop *loop, const Slave *slave, const double *values) {
+    const ptrdiff_t L = loop->n_links;
+    for (ptrdiff_t k = loop->columns[loop->which]; k < loop->columns[loop->which + 1]; k++) {
+        loop->C[k] = values[k];
+        loop->C[L + k] = loop->C[2 * L + k] = loop->C[3 * L + k] = 0.0;
+    }
+    return call_writes(loop, slave, slave->writes, slave->n_writes);
+}
+
+/* The state after a step to `end`; Points.followed. */
+static void follow(const State *from, State *to, double end, const double *new, ptrdiff_t L) {
+    const int drops = from->n_times == KEPT;
+    to->n_times = from->n_times + !drops;
+    memmove(to->times, from->times + drops, (size_t)(to->n_times - 1) * sizeof(double));
+    to->times[to->n_times - 1] = end;
+    for (int row = 0; row < 2; row++) {
+        double *points = to->table + row * KEPT * L;
+        memmove(points, from->table + (row * KEPT + 1) * L, (KEPT - 1) * (size_t)L * sizeof(double));
+        memcpy(points + (KEPT - 1) * L, new + row * L, (size_t)L * sizeof(double));
+    }
+}
+
+/* `attempt` of hermite.py: iterate until the ends that are fed back settle. `to` is the state at the end. */
+static int attempt(Loop *loop, const Plan *plan, const State *from, State *to, double time, double end,
+                   Trial *trial) {
     const ptrdiff_t L = loop->n_links, n = 2 * plan->n_back;
     double *predicted = plan->work, *expected = predicted + 2 * L, *data = expected + 2 * L;
     double *new = data + 6 * L, *distance = new + 2 * L;
     double *z = distance + 2 * L, *r = z + n, *z_before = r + n, *r_before = z_before + n;
-    double *scales = r_before + n, *change_of = scales + n, *A = change_of + n;
+    double *scales = r_before + n, *change_of = scales + n, *A = change_of + n, *J = to->J;
     const double h = end - time;
     double M[24];
 
     trial->error = INFINITY;
     trial->order = LOW;
-    trial->next_order = plan->highest;
-    trial->length = h;
+    to->order = plan->highest;
+    to->length = h;
 
     /* opened(): extrapolated ends, and the matrix from the data to C */
-    int back[KEPT], n_before = 0;
-    for (int k = 1; k < memory->n_times; k++)
-        if (time - memory->times[memory->n_times - 1 - k] >= h / LONGEST_EXTRAPOLATION)
+    int back[KEPT] = {0}, n_before = 0;
+    for (int k = 1; k < from->n_times; k++)
+        if (time - from->times[from->n_times - 1 - k] >= h / LONGEST_EXTRAPOLATION)
             back[n_before++] = k;
-    extrapolate(memory, L, end, back, n_before, predicted);
-    const int is_high = n_before > 0 && memory->order == HIGH;
+    extrapolate(from, L, end, back, n_before, predicted);
+    const int is_high = n_before > 0 && from->order == HIGH;
     const int width = is_high ? 6 : 4;
     for (int row = 0; row < 2; row++)
         for (ptrdiff_t k = 0; k < L; k++) {
-            data[row * L + k] = memory->table[(row * KEPT + KEPT - 1) * L + k];
+            data[row * L + k] = from->table[(row * KEPT + KEPT - 1) * L + k];
             data[(2 + row) * L + k] = predicted[row * L + k];
-            if (is_high) data[(4 + row) * L + k] = memory->table[(row * KEPT + KEPT - 1 - back[0]) * L + k];
+            if (is_high) data[(4 + row) * L + k] = from->table[(row * KEPT + KEPT - 1 - back[0]) * L + k];
         }
-    const double g = n_before ? time - memory->times[memory->n_times - 1 - back[0]] : 0.0;
+    for (ptrdiff_t k = 0; loop->inexact && k < L; k++)
+        if (loop->source_derivative[k] < 0) {
+            double value;
+            predict(from, L, time, k, &value, &data[L + k]);
+            predict(from, L, end, k, &data[2 * L + k], &data[3 * L + k]);
+        }
+    const double g = n_before ? time - from->times[from->n_times - 1 - back[0]] : 0.0;
     if (is_high) matched(h, g, M); else cubic(h, M, 4);
 
     for (ptrdiff_t i = 0; i < plan->n_back; i++) {
@@ -608,28 +729,40 @@ static int attempt(Loop *loop, const Plan *plan, const Memory *memory, double ti
         scales[plan->n_back + i] = scales[i] / h;
     }
     /* What an input's end does to an output grows with the step, to first order. */
-    const double grown = memory->length > 0.0 ? h / memory->length : 1.0;
-    for (ptrdiff_t i = 0; i < n * n; i++) J[i] = memory->J[i] * grown;
+    const double grown = from->length > 0.0 ? h / from->length : 1.0;
+    for (ptrdiff_t i = 0; i < n * n; i++) J[i] = from->J[i] * grown;
 
-    int settled = 0;
-    for (int count = 1; count <= plan->max_iterations && !settled; count++) {
-        if (count > 1 && restore(loop)) return UNUSUAL;
+    const int most = plan->iterations ? plan->iterations : plan->max_iterations;
+    int settled = plan->iterations > 0;
+    double change_before = INFINITY;
+    for (int count = 1; count <= most; count++) {
+        if (count > 1 && restore(loop)) return REFUSED;
         for (int m = 0; m < loop->n_slaves; m++) {
             const Slave *slave = &loop->slaves[m];
             loop->which = m;
-            for (ptrdiff_t k = loop->columns[m]; k < loop->columns[m + 1]; k++)
-                for (int row = 0; row < 4; row++) {
-                    double sum = 0.0;
-                    for (int j = 0; j < width; j++) sum += M[row * width + j] * data[j * L + k];
-                    loop->C[row * L + k] = sum;
-                }
-            if (call_writes(loop, slave, slave->writes, slave->n_writes)) return UNUSUAL;
+            for (ptrdiff_t k = loop->columns[m]; k < loop->columns[m + 1]; k++) {
+                const double *w = data + k;
+                for (int row = 0; row < 4; row++)
+                    loop->C[row * L + k] = sum_of_products(M + row * width, w, width, L);
+                /* _lower(): the cubic's mean, the chord, the parabola */
+                if (loop->order[k] == 0)
+                    loop->C[k] = (w[0] + w[2 * L]) / 2.0 + (w[L] - w[3 * L]) * (h / 12.0);
+                else if (loop->order[k] == 1)
+                    loop->C[L + k] = (w[2 * L] - w[0]) / h;
+                else if (loop->order[k] == 2)
+                    loop->C[2 * L + k] = 2.0 * (w[2 * L] - w[0] - h * w[L]) / (h * h);
+            }
+            if (call_writes(loop, slave, slave->writes, slave->n_writes)) return REFUSED;
             *slave->note = slave->step_note;
-            if (slave->step(slave->component, time, h, 1) > WARNING) return UNUSUAL;
-            if (call_reads(loop, slave)) return UNUSUAL;
+            const int status = slave->step(slave->component, time, h, 1);
+            if (status > WARNING) return refused(loop, status, "fmi2DoStep");
+            if (call_reads(loop, slave)) return REFUSED;
+            /* Outputs for the inputs' values at the end, not those held over the step. */
+            if (slave->holds_some
+                && (read_for_values(loop, slave, data + 2 * L) || call_reads(loop, slave)))
+                return REFUSED;
             for (ptrdiff_t k = 0; k < L; k++) {
-                new[k] = loop->Y[loop->source[k]];
-                new[L + k] = loop->Y[loop->source_derivative[k]];
+                read_end(loop, from, end, k, &data[L + k], &new[k], &new[L + k]);
                 if (slave->forward[k]) {
                     data[2 * L + k] = new[k];
                     data[3 * L + k] = new[L + k];
@@ -645,8 +778,9 @@ static int attempt(Loop *loop, const Plan *plan, const Memory *memory, double ti
             sum += r[i] * r[i];
         }
         const double change = sqrt(sum);
-        if (!isfinite(change)) return UNUSUAL;
-        if (plan->accelerates && n && count > 1) {
+        if (!isfinite(change)) return NOT_FINITE;
+        const int accelerates = plan->accelerates && n;
+        if (accelerates && count > 1) {
             for (ptrdiff_t i = 0; i < n; i++) {
                 z_before[i] = z[i] - z_before[i];
                 r_before[i] = r[i] - r_before[i];
@@ -655,9 +789,15 @@ static int attempt(Loop *loop, const Plan *plan, const Memory *memory, double ti
         }
         memcpy(z_before, z, (size_t)n * sizeof *z);
         memcpy(r_before, r, (size_t)n * sizeof *r);
-        settled = change <= plan->accuracy;
-        if (settled) break;
-        const int quasi = plan->accelerates && n;
+        if (!plan->iterations
+            && (change <= plan->accuracy
+                /* The FMUs' own accuracy may leave a change that no iteration betters. */
+                || (change <= plan->unsettled && change > change_before / 2.0))) {
+            settled = 1;
+            break;
+        }
+        change_before = change;
+        const int quasi = !plan->iterations && accelerates;
         if (quasi) quasi_newton(J, r, n, A, change_of);
         for (ptrdiff_t i = 0; i < n; i++) {
             const ptrdiff_t k = plan->back[i % plan->n_back], row = i / plan->n_back;
@@ -665,6 +805,7 @@ static int attempt(Loop *loop, const Plan *plan, const Memory *memory, double ti
         }
     }
     if (!settled) return DONE;  /* with an infinite error */
+    follow(from, to, end, new, L);
     if (!L) { trial->error = 0.0; return DONE; }
 
     /* estimated_error() */
@@ -677,7 +818,7 @@ static int attempt(Loop *loop, const Plan *plan, const Memory *memory, double ti
         return DONE;
     }
     if (n_before == 1) memcpy(expected, predicted, 2 * (size_t)L * sizeof *expected);
-    else extrapolate(memory, L, end, back, 1, expected);
+    else extrapolate(from, L, end, back, 1, expected);
     const double hg = h + g;
     for (ptrdiff_t k = 0; k < L; k++) {
         const double value = fabs(new[k] - expected[k]) * (h * h / (16.0 * (hg * hg)));
@@ -687,7 +828,7 @@ static int attempt(Loop *loop, const Plan *plan, const Memory *memory, double ti
     const double low = relative(loop, distance, new);
     trial->error = low;
     if (plan->highest != HIGH || n_before < 2) return DONE;
-    const double kk = time - memory->times[memory->n_times - 1 - back[1]];
+    const double kk = time - from->times[from->n_times - 1 - back[1]];
     const double top = h * (h / 2.0 + g), bottom = hg * (h + kk);
     const double share = top * top / (16.0 * (bottom * bottom));
     const double per_slope = 2.0 * (1.0 / h + 1.0 / hg + 1.0 / (h + kk));
@@ -700,9 +841,9 @@ static int attempt(Loop *loop, const Plan *plan, const Memory *memory, double ti
     const double high = relative(loop, distance + L, new);
     if (plan->chooses) {
         const double a = low / plan->tolerance, b = high / plan->tolerance;
-        trial->next_order = b == 0.0 || (a > 0.0 && LOW * log(b) < HIGH * log(a)) ? HIGH : LOW;
+        to->order = b == 0.0 || (a > 0.0 && LOW * log(b) < HIGH * log(a)) ? HIGH : LOW;
     }
-    if (memory->order == HIGH) {
+    if (from->order == HIGH) {
         trial->error = high;
         trial->order = HIGH;
     }
@@ -710,84 +851,149 @@ static int attempt(Loop *loop, const Plan *plan, const Memory *memory, double ti
 }
 
 /* `_step` of derivative.py: inputs follow value and derivative at the start, and the cubic or the chord
-   between both ends where their source has stepped already. The new values and derivatives are left
-   where `attempt` leaves them. */
-static int extrapolated(Loop *loop, const Plan *plan, const Memory *memory, double time, double end,
-                        Trial *trial) {
+   between both ends where their source has stepped already. */
+static int extrapolated(Loop *loop, const Plan *plan, const State *from, State *to, double time,
+                        double end, Trial *trial) {
     const ptrdiff_t L = loop->n_links;
-    double *w = plan->work, *new = w + 10 * L, *distance = new + 2 * L;
+    double *w = plan->work, *ends = w + 4 * L, *new = ends + 2 * L, *distance = new + 2 * L;
     const double h = end - time;
     double M[16];
     cubic(h, M, 4);
     for (ptrdiff_t k = 0; k < L; k++) {
-        w[k] = memory->table[(KEPT - 1) * L + k];
-        w[L + k] = memory->table[(2 * KEPT - 1) * L + k];
-        loop->C[k] = w[k];
+        w[k] = from->table[(KEPT - 1) * L + k];
+        w[L + k] = from->table[(2 * KEPT - 1) * L + k];
+        if (loop->source_derivative[k] < 0) predict(from, L, time, k, &distance[k], &w[L + k]);
+        loop->C[k] = loop->order[k] ? w[k] : w[k] + w[L + k] * (h / 2.0);
         loop->C[L + k] = w[L + k];
         loop->C[2 * L + k] = loop->C[3 * L + k] = 0.0;
+        ends[k] = w[k] + w[L + k] * h;  /* where the input is expected to be */
     }
     for (int m = 0; m < loop->n_slaves; m++) {
         const Slave *slave = &loop->slaves[m];
         loop->which = m;
-        for (ptrdiff_t k = loop->columns[m]; k < loop->columns[m + 1]; k++) {
+        for (ptrdiff_t k = loop->columns[m]; slave->steps_ahead && k < loop->columns[m + 1]; k++) {
             if (!slave->ahead[k]) continue;
-            w[2 * L + k] = loop->Y[loop->source[k]];
-            w[3 * L + k] = loop->Y[loop->source_derivative[k]];
-            if (slave->ahead[k] < 3) { loop->C[L + k] = (w[2 * L + k] - w[k]) / h; continue; }
-            for (int row = 0; row < 4; row++) {
-                double sum = 0.0;
-                for (int j = 0; j < 4; j++) sum += M[row * 4 + j] * w[j * L + k];
-                loop->C[row * L + k] = sum;
-            }
+            read_end(loop, from, end, k, &w[L + k], &w[2 * L + k], &w[3 * L + k]);
+            ends[k] = w[2 * L + k];
+            if (loop->order[k] == 0) loop->C[k] = (w[k] + w[2 * L + k]) / 2.0;
+            else if (loop->order[k] < 3) loop->C[L + k] = (w[2 * L + k] - w[k]) / h;
+            else
+                for (int row = 0; row < 4; row++)
+                    loop->C[row * L + k] = sum_of_products(M + row * 4, w + k, 4, L);
         }
         if (call_writes(loop, slave, slave->writes, slave->n_writes)) return REFUSED;
         *slave->note = slave->step_note;
         const int status = slave->step(slave->component, time, h, 1);
         if (status > WARNING) return refused(loop, status, "fmi2DoStep");
-        if (call_reads(loop, slave)) return REFUSED;
+        if (slave->reaches_end && read_for_values(loop, slave, ends)) return REFUSED;
+        if (plan->sequential && call_reads(loop, slave)) return REFUSED;
+    }
+    for (int m = 0; m < loop->n_slaves && !plan->sequential; m++)
+        if (call_reads(loop, &loop->slaves[loop->which = m])) return REFUSED;
+    if (plan->exchanges) {
+        const int code = run_exchange(loop);
+        if (code) return code;
     }
     loop->passes++;
     for (ptrdiff_t k = 0; k < L; k++) {
-        new[k] = loop->Y[loop->source[k]];
-        new[L + k] = loop->Y[loop->source_derivative[k]];
+        read_end(loop, from, end, k, &w[L + k], &new[k], &new[L + k]);
         distance[k] = fabs(w[k] + h * w[L + k] - new[k]);
     }
     trial->error = relative(loop, distance, new);
     trial->order = 2;
-    trial->next_order = memory->order;
-    trial->length = memory->length;
+    follow(from, to, end, new, L);
     return DONE;
 }
 
-/* Points.followed */
-static void follow(Memory *memory, double end, const double *new, ptrdiff_t L) {
-    if (memory->n_times == KEPT) memmove(memory->times, memory->times + 1, 2 * sizeof(double));
-    else memory->n_times++;
-    memory->times[memory->n_times - 1] = end;
-    for (int row = 0; row < 2; row++) {
-        double *points = memory->table + row * KEPT * L;
-        memmove(points, points + L, (KEPT - 1) * (size_t)L * sizeof(double));
-        memcpy(points + (KEPT - 1) * L, new + row * L, (size_t)L * sizeof(double));
+/* A step for a trial, whatever the coupling. */
+static int make(Loop *loop, const Plan *plan, const State *from, State *to, double time, double end,
+                Trial *trial) {
+    const int code = plan->iterates ? attempt(loop, plan, from, to, time, end, trial)
+                                    : extrapolated(loop, plan, from, to, time, end, trial);
+    return code == DONE && !is_finite(loop) ? NOT_FINITE : code;
+}
+
+/* -- steps made whole and in halves, as step_control.py ---------------------------------------------- */
+
+enum { PROBED = 8 };
+static const double SHARES = 2.0, LEAST_SHARE = 1e-2, PASSING_SHARE = 0.3, FLOOR_EXPONENT = 0.25;
+
+/* The last trial of two, and the values of the links after the first, (L,). */
+static int in_halves(Loop *loop, const Plan *plan, const State *from, State *middle, State *to,
+                     double time, double end, Trial *trial, double *values) {
+    const double between = time + (end - time) / 2.0;
+    int code = make(loop, plan, from, middle, time, between, trial);
+    for (ptrdiff_t k = 0; k < loop->n_links; k++) values[k] = loop->Y[loop->source[k]];
+    if (code || !isfinite(trial->error)) return code;
+    loop->level = 1;
+    code = save(loop);
+    if (!code) code = make(loop, plan, middle, to, between, end, trial);
+    loop->level = 0;
+    return code;
+}
+
+/* `halved`: the error of a step is what its halves, which are kept, differ by. */
+static int halved(Loop *loop, const Plan *plan, Memory *memory, State *states, double time, double end,
+                  Trial *trial) {
+    const ptrdiff_t L = loop->n_links, n = 2 * plan->n_back;
+    double *at_end = plan->work + trial_size((size_t)L, (size_t)n)
+                   + TRIALS * state_size((size_t)L, (size_t)n);
+    double *at_middle = at_end + L, *first_half = at_middle + L;
+    const State *from = &memory->state;
+    int probes = 0;
+    int code = make(loop, plan, from, &states[0], time, end, trial);
+    for (ptrdiff_t k = 0; k < L; k++) at_end[k] = loop->Y[loop->source[k]];
+    if (code || !isfinite(trial->error)) return code;
+    if (!memory->left) {
+        if ((code = restore(loop))) return code;
+        code = in_halves(loop, plan, from, &states[1], &states[0], time, time + (end - time) / 2.0,
+                         trial, first_half);
+        if (code) return code;
+        probes = isfinite(trial->error);
+        for (ptrdiff_t k = 0; k < L; k++) at_middle[k] = loop->Y[loop->source[k]];
+    }
+    if ((code = restore(loop))) return code;
+    code = in_halves(loop, plan, from, &states[1], &states[0], time, end, trial, first_half);
+    if (code || !L || !isfinite(trial->error)) return code;
+    const double least = SHARES * (end - time) / plan->horizon;
+    const double share = least > LEAST_SHARE ? least : LEAST_SHARE;
+    double worst = 0.0;
+    memory->found = 0.0;
+    for (ptrdiff_t k = 0; k < L; k++) {
+        const double found = loop->Y[loop->source[k]], difference = found - at_end[k];
+        if (probes) {
+            /* a h + b h^3 over the step, a h/2 + b h^3/8 over its half */
+            const double lasting = fabs(difference - 2.0 * (at_middle[k] - first_half[k])) * (4.0 / 3.0);
+            memory->lasting[k] = fabs(difference) > lasting ? lasting / fabs(difference) : 1.0;
+        }
+        const double size = memory->sizes[k] > fabs(found) ? memory->sizes[k] : fabs(found);
+        const double error = fabs(difference) / 3.0 / (loop->nominal[k] + size);
+        const double lasts = error * memory->lasting[k] / share, passes = error / PASSING_SHARE;
+        if (error > memory->found) memory->found = error;
+        if (lasts > worst) worst = lasts;
+        if (passes > worst) worst = passes;
+    }
+    trial->error = worst;
+    trial->order = share == LEAST_SHARE ? 3 : 2;
+    return DONE;
+}
+
+/* Whether a shorter step than the one refused has hardly less of an error, which the run can bear. */
+static int is_floor(const Memory *memory, double length, double tolerance) {
+    const double ratio = length / memory->refused_length;
+    return memory->found <= PASSING_SHARE * tolerance && ratio <= 0.5
+        && memory->found > memory->refused_error * pow(ratio, FLOOR_EXPONENT);
+}
+
+static void accept_halves(const Loop *loop, Memory *memory) {
+    memory->left = memory->left ? memory->left - 1 : PROBED;
+    for (ptrdiff_t k = 0; k < loop->n_links; k++) {
+        const double size = fabs(loop->Y[loop->source[k]]);
+        if (size > memory->sizes[k]) memory->sizes[k] = size;
     }
 }
 
-/* The weights of the value of `differentiation` in polynomial.py, (n,). */
-static void extrapolation_weights(const double *nodes, int n, double at, double *weights) {
-    double product = 1.0, distance = nodes[0] - at;
-    weights[0] = 1.0;
-    for (int i = 1; i < n; i++) {
-        const double previous = distance;
-        double partial = 1.0;
-        distance = nodes[i] - at;
-        for (int j = 0; j < i; j++) {
-            const double gap = nodes[i] - nodes[j];
-            partial *= gap;
-            if (j == i - 1) weights[i] = -product * previous * weights[j] / partial;
-            weights[j] = distance * weights[j] / gap;
-        }
-        product = partial;
-    }
-}
+/* -- the loop over time --------------------------------------------------------------------------------- */
 
 /* `unresolved` of Session and OutputGrid: above 1, the step to `end`, which has been made, is too long
    for what is recorded in it. */
@@ -797,11 +1003,11 @@ static double unresolved(const Loop *loop, const Memory *memory, double end) {
         const Grid *grid = &memory->grids[g];
         const int n = grid->n_times;
         if (end - grid->times[n - 1] <= grid->interval) continue;
-        double weights[NODES], amplified = INFINITY;
+        double weights[NODES], slopes[NODES], amplified = INFINITY;
         int first = -1;
         while (amplified > MOST_AMPLIFIED) {  /* that of the newest value alone is 1 */
             first++;
-            extrapolation_weights(grid->times + first, n - first, end, weights);
+            differentiate(grid->times + first, n - first, end, weights, slopes);
             amplified = 0.0;
             for (int i = 0; i < n - first; i++) amplified += fabs(weights[i]);
         }
@@ -845,14 +1051,16 @@ static double end_of(double time, double length, double target) {
 static void restart(const Loop *loop, const Plan *plan, Memory *memory, double time) {
     const ptrdiff_t L = loop->n_links;
     double rate = 0.0;
-    memory->times[0] = time;
-    memory->n_times = 1;
-    memory->order = plan->highest;
-    memset(memory->table, 0, 2 * KEPT * (size_t)L * sizeof(double));
+    State *state = &memory->state;
+    state->times[0] = time;
+    state->n_times = 1;
+    state->order = plan->highest;
+    memset(state->table, 0, 2 * KEPT * (size_t)L * sizeof(double));
     for (ptrdiff_t k = 0; k < L; k++) {
-        const double value = loop->Y[loop->source[k]], slope = loop->Y[loop->source_derivative[k]];
-        memory->table[(KEPT - 1) * L + k] = value;
-        memory->table[(2 * KEPT - 1) * L + k] = slope;
+        const ptrdiff_t place = loop->source_derivative[k];
+        const double value = loop->Y[loop->source[k]], slope = place < 0 ? 0.0 : loop->Y[place];
+        state->table[(KEPT - 1) * L + k] = value;
+        state->table[(2 * KEPT - 1) * L + k] = slope;
         const double change = fabs(slope) / (loop->nominal[k] + fabs(value));
         if (change > rate) rate = change;
     }
@@ -863,14 +1071,35 @@ static void restart(const Loop *loop, const Plan *plan, Memory *memory, double t
     for (int g = 0; g < memory->n_grids; g++) memory->grids[g].n_times = 0;
 }
 
+/* Where the states of trials are. */
+static void lay_out(const Loop *loop, const Plan *plan, State *states) {
+    const size_t L = (size_t)loop->n_links, n = 2 * (size_t)plan->n_back;
+    for (int i = 0; i < TRIALS; i++) {
+        states[i].table = plan->work + trial_size(L, n) + (size_t)i * state_size(L, n);
+        states[i].J = states[i].table + 2 * KEPT * L;
+    }
+}
+
+/* A trial becomes the state. */
+static void take(const Loop *loop, const Plan *plan, const State *from, State *to) {
+    const size_t L = (size_t)loop->n_links, n = 2 * (size_t)plan->n_back;
+    memcpy(to->times, from->times, sizeof to->times);
+    to->n_times = from->n_times;
+    memcpy(to->table, from->table, 2 * KEPT * L * sizeof(double));
+    if (!plan->iterates) return;
+    memcpy(to->J, from->J, n * n * sizeof(double));
+    to->order = from->order;
+    to->length = from->length;
+}
+
 /* Steps from *time on to the stop time, chosen by the tolerance, over the jumps, the first of which is at
    `memory->event`.
    On UNUSUAL the FMUs are where the step began, and Python makes it. On NOT_FINITE and UNSOLVED a jump,
    at `memory->event`, has led there. */
 EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *time) {
-    const ptrdiff_t L = loop->n_links, n = 2 * plan->n_back;
-    double *J = plan->work + 14 * L + 6 * n + n * n;
-    const double *new = plan->work + 10 * L;
+    State states[TRIALS];
+    lay_out(loop, plan, states);
+    loop->level = 0;
     while (*time < loop->stop) {
         const double event = memory->event, before = just_before(event);
         const double target = before < loop->stop ? before : loop->stop;
@@ -886,23 +1115,33 @@ EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *ti
             continue;
         }
         loop->time = *time;
+        const long before_saving = loop->calls;
         if (save(loop)) return REFUSED;
+        const long saving = loop->calls - before_saving;
+        memory->refused_length = 0.0;
         double end;
         for (;;) {
             end = end_of(*time, memory->step, target);
             const double length = end - *time;
             Trial trial;
-            int code = plan->iterates ? attempt(loop, plan, memory, *time, end, J, &trial)
-                                         : extrapolated(loop, plan, memory, *time, end, &trial);
-            if (code == DONE && !is_finite(loop)) code = UNUSUAL;
+            const long calls = loop->calls, passes = loop->passes;
+            const int code = plan->halves
+                ? halved(loop, plan, memory, states, *time, end, &trial)
+                : make(loop, plan, &memory->state, &states[0], *time, end, &trial);
             double scaled = trial.error / plan->tolerance;
             const int fits = code == DONE && scaled <= 1.0;
             if (fits) {
                 /* A step may be good for the loop and too long for what is recorded in it. */
                 const double recorded = unresolved(loop, memory, end);
                 if (recorded > scaled) scaled = recorded;
+                memory->refused_length = 0.0;
             }
-            if (fits && scaled <= 1.0) {
+            const double size = fabs(*time) > fabs(end) ? fabs(*time) : fabs(end);
+            const double rounding = SMALLEST_STEP * unit_in_the_last_place(size);
+            const double share = SMALLEST_SHARE * plan->horizon;
+            const int smallest = length <= (rounding > share ? rounding : share);
+            int accepted = fits && scaled <= 1.0;
+            if (accepted) {
                 /* StepSize.accepted */
                 const double error = scaled > SMALLEST_ERROR ? scaled : SMALLEST_ERROR;
                 double change = SAFETY * pow(error, -INTEGRAL / trial.order)
@@ -913,18 +1152,30 @@ EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *ti
                 memory->step = length * change;
                 memory->error_before = error;
                 memory->rejected = 0;
+            } else if (code == DONE && !fits && !smallest && plan->halves) {
+                accepted = memory->refused_length > 0.0 && is_floor(memory, length, plan->tolerance);
+                if (accepted) {
+                    /* What is left comes from the FMUs, whose accuracy no step betters. */
+                    loop->floors++;
+                    memory->step = memory->refused_length;
+                    memory->rejected = 1;
+                } else {
+                    memory->refused_length = length;
+                    memory->refused_error = memory->found;
+                }
+            }
+            if (accepted) {
                 if (trial.error > loop->largest_error) loop->largest_error = trial.error;
-                memory->order = trial.next_order;
-                memory->length = trial.length;
-                if (plan->iterates) memcpy(memory->J, J, (size_t)(n * n) * sizeof *J);
+                if (plan->halves) accept_halves(loop, memory);
+                take(loop, plan, &states[0], &memory->state);
                 break;
             }
             if (restore(loop)) return REFUSED;
-            const double size = fabs(*time) > fabs(end) ? fabs(*time) : fabs(end);
-            const double rounding = SMALLEST_STEP * unit_in_the_last_place(size);
-            const double share = SMALLEST_SHARE * plan->horizon;
-            const double smallest = rounding > share ? rounding : share;
-            if (code != DONE || (!fits && length <= smallest)) return UNUSUAL;
+            if (code != DONE || (!fits && smallest)) {
+                loop->calls = calls - saving;  /* which are made, and counted, once more */
+                loop->passes = passes;
+                return UNUSUAL;
+            }
             /* StepSize.refused */
             double change = SMALLEST_CHANGE;
             if (isfinite(scaled)) {
@@ -936,7 +1187,6 @@ EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *ti
             memory->rejected = 1;
             loop->rejected++;
         }
-        follow(memory, end, new, L);
         *time = end;
         if (end < target || event == INFINITY) {
             record(loop, end, POINT);
@@ -947,28 +1197,45 @@ EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *ti
     return DONE;
 }
 
-/* Steps of `derivative` from *time on to each of `count` points. `before`, (2, L): values and derivatives
-   of the links at the beginning; afterwards those at the end. */
-EXPORT int run_derivative(Loop *loop, const Plan *plan, Memory *memory, double *time,
-                          const double *points, long count, double *before) {
+/* Steps of `derivative` and `hermite` from *time on to each of `count` points. `before`, (2, L): values
+   and derivatives of the links at the beginning; afterwards those at the end.
+   On UNUSUAL the FMUs are where the step began, and Python makes it. */
+EXPORT int run_points(Loop *loop, const Plan *plan, Memory *memory, double *time, const double *points,
+                      long count, double *before) {
     const ptrdiff_t L = loop->n_links;
-    const double *new = plan->work + 10 * L;
+    State states[TRIALS], *state = &memory->state;
+    lay_out(loop, plan, states);
+    loop->level = 0;
     for (long k = 0; k < count; k++) {
         if (!has_room(loop)) return FULL;
         const double end = points[k], length = end - *time;
         loop->time = *time;
+        const long calls = loop->calls, passes = loop->passes;
+        if (plan->saves && save(loop)) return REFUSED;
         Trial trial;
-        const int code = extrapolated(loop, plan, memory, *time, end, &trial);
-        if (code) return code;
-        follow(memory, end, new, L);
-        /* Watch of base.py: how far inputs were from where they were extrapolated to. */
-        for (ptrdiff_t i = 0; i < L; i++) {
-            const double change = (new[i] - before[i]) - length * before[L + i];
-            const double error = fabs(change) / (loop->nominal[i] + fabs(new[i]));
-            if (error > loop->largest_error) loop->largest_error = error;
-            before[i] = new[i];
-            before[L + i] = new[L + i];
+        const int code = plan->iterates
+            ? attempt(loop, plan, state, &states[0], *time, end, &trial)
+            : extrapolated(loop, plan, state, &states[0], *time, end, &trial);
+        if (plan->saves && (code || !isfinite(trial.error))) {
+            if (restore(loop)) return REFUSED;
+            loop->calls = calls;  /* which are made, and counted, once more */
+            loop->passes = passes;
+            return UNUSUAL;
         }
+        if (code) return code;
+        take(loop, plan, &states[0], state);
+        const double *new = state->table + (KEPT - 1) * L, *slopes = new + KEPT * L;
+        if (plan->iterates) {
+            if (trial.error > loop->largest_error) loop->largest_error = trial.error;
+        } else
+            /* Watch of base.py: how far inputs were from where they were extrapolated to. */
+            for (ptrdiff_t i = 0; i < L; i++) {
+                const double change = (new[i] - before[i]) - length * before[L + i];
+                const double error = fabs(change) / (loop->nominal[i] + fabs(new[i]));
+                if (error > loop->largest_error) loop->largest_error = error;
+                before[i] = new[i];
+                before[L + i] = slopes[i];
+            }
         if (!is_finite(loop)) return NOT_FINITE;
         record(loop, end, POINT);
         counted(loop, end);

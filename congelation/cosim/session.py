@@ -271,6 +271,7 @@ class Session:
         """
         self.rejected += loop.rejected
         self.events += loop.events_crossed
+        self.floors += loop.floors
         self.ensemble.calls += loop.calls
         self.stepper.iterations += loop.passes
         self.largest_error = max(self.largest_error, loop.largest_error)

@@ -14,8 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.compiled import (
+    DONE,
+    FULL,
     NOT_FINITE,
-    REFUSED,
     UNUSUAL,
     CompiledHeld,
     CompiledPolynomials,
@@ -72,11 +73,11 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
         if compiled is not None:
             # Up to the point that a jump comes before.
             until = int(np.searchsorted(ends + near, event))
-            state, made = _made(session, compiled, state, time, ends[:until])
+            state, made, code = _made(session, compiled, state, time, ends[:until])
             k += made
             if made:
                 time = float(ends[made - 1])
-            if made == until < len(ends):
+            if code == UNUSUAL or made == until < len(ends):
                 ends = ends[made : made + 1]
             else:
                 continue
@@ -106,8 +107,9 @@ def _made(
     state: Any,
     time: float,
     ends: Floats,
-) -> tuple[Any, int]:
-    """The state after steps by the compiled loop, and how many it made, up to all of `ends`.
+) -> tuple[Any, int, int]:
+    """The state after steps by the compiled loop, how many it made, up to all of `ends`, and why it
+    ended.
 
     Raises
     ------
@@ -115,7 +117,7 @@ def _made(
         What ended the run; Python says which value it is, or what an FMU has said.
     """
     if not len(ends):
-        return state, 0
+        return state, 0, DONE
     if isinstance(compiled, CompiledHeld):
         code = compiled.run(time, ends)
     else:
@@ -125,12 +127,12 @@ def _made(
     if made and isinstance(session.stepper, DerivativeStepper):
         session.stepper.watch.passed(at, state.now)
     session.took(compiled.loop)
-    if code == REFUSED:
-        compiled.refuse()
     if code == NOT_FINITE:
         session.record(float(ends[made]))
         made += 1
-    return state, made
+    elif code not in (DONE, FULL, UNUSUAL):
+        compiled.raise_for(code, float(ends[made]))
+    return state, made, code
 
 
 def run_adaptive(
@@ -164,7 +166,7 @@ def run_adaptive(
     while time < session.stop:
         if compiled is not None:
             code, state, size, time, event = compiled.adaptive(
-                state, size, time, event, session.most
+                state, size, time, event, halving, session.most
             )
             session.took(compiled.loop)
             compiled.raise_for(code, event)
@@ -173,7 +175,7 @@ def run_adaptive(
         target = min(session.stop, just_before(event))
         if time < target:
             ensemble.save()
-            refused: tuple[float, float] | None = None
+            refused = None if compiled is None else compiled.refused
             while True:
                 end = _end(time, size.length, target)
                 trial, error = _tried(session, stepper, state, time, end, tolerance, halving)
@@ -238,20 +240,17 @@ def _new_compiled(
         return CompiledHeld(ensemble, rows, exchange, sequential=stepper.sequential)
     if not isinstance(stepper, HermiteStepper | DerivativeStepper):
         return None
-    plan = stepper.plan()
-    if plan is not None:
-        return CompiledPolynomials(
-            ensemble,
-            rows,
-            exchange,
-            session.lands,
-            plan,
-            1.0 if tolerance is None else tolerance,
-            stepper.first_change,
-            session.start,
-            session.stop,
-        )
-    return None
+    return CompiledPolynomials(
+        ensemble,
+        rows,
+        exchange,
+        session.lands,
+        stepper.plan(),
+        1.0 if tolerance is None else tolerance,
+        stepper.first_change,
+        session.start,
+        session.stop,
+    )
 
 
 def _end(time: float, length: float, target: float) -> float:

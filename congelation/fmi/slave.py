@@ -280,9 +280,10 @@ class Slave:
     def save_into(self, state: State) -> None:
         """Save over a state of this instance that is no longer needed."""
         # Freed first: some FMUs would overwrite the pointer and lose the memory behind it.
-        self._note[0] = self._free_code
-        self._free_state(self._component, ctypes.byref(state))
-        state.value = None
+        if state.value is not None:
+            self._note[0] = self._free_code
+            self._free_state(self._component, ctypes.byref(state))
+            state.value = None
         self._note[0] = self._save_code
         self._check("fmi2GetFMUstate", self._get_state(self._component, ctypes.byref(state)))
 

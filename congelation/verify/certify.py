@@ -307,7 +307,7 @@ def designs_of(source: Path | str | Spec | Scenario) -> Sequence[Design]:
 def _is_spec(file: Path) -> bool:
     """Whether a readable TOML file has the key that only specs have."""
     try:
-        return "form" in tomllib.loads(file.read_text("utf-8"))
+        return "form" in tomllib.loads(file.read_text("utf-8-sig"))
     except (OSError, ValueError):
         # What is wrong with it is said by the reader of scenarios.
         return False

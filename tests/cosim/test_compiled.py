@@ -2,15 +2,33 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from congelation.cosim import Experiment, Memory, Output, Result, System, perform
+from benchmarks.coupling.parts import ABILITIES
+from benchmarks.coupling.problems import PROBLEMS
+from congelation.cosim import (
+    Experiment,
+    Memory,
+    Output,
+    Result,
+    SlavePool,
+    System,
+    perform,
+)
 from congelation.cosim import compiled as module
+from congelation.cosim.coupling.derivative import DerivativeStepper
+from congelation.cosim.coupling.hermite import HermiteStepper
 from congelation.cosim.session import Session
 from congelation.scenario.load import load_scenario
+from tests.cosim.c_fmus import plain_fmu
+from tests.cosim.sanitized import WAYS, faulty
 from tests.scenarios import ROOT
 
 HELD = {"tolerance": None, "step": 1e-3, "stop_time": 0.5, "output_interval": None}
@@ -122,3 +140,122 @@ def test_diverging(monkeypatch: pytest.MonkeyPatch) -> None:
     fast, slow = both(monkeypatch, system, experiment)
     assert_equal(fast, slow)
     assert not fast.completed
+
+
+# -- every coupling, every kind of FMU --------------------------------------------------------
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+    """Steps made by the couplings in Python."""
+    steps = {"Python": 0}
+    for stepper in (HermiteStepper, DerivativeStepper):
+        for name in ("advance", "attempt"):
+            made = getattr(stepper, name)
+
+            def count(self: object, *arguments: object, made: object = made) -> object:
+                steps["Python"] += 1
+                return made(self, *arguments)
+
+            monkeypatch.setattr(stepper, name, count)
+    return steps
+
+
+# Of FMUs that cannot save their state, the ways that need none.
+PAIRS = [
+    (ability, way)
+    for ability in ABILITIES
+    for way in WAYS
+    if ability in ("state", "full")
+    or way in ("hermite of one iteration", "derivative at fixed steps", "derivative, all at once")
+]
+
+
+@pytest.mark.parametrize(("ability", "way"), PAIRS)
+def test_problems(
+    monkeypatch: pytest.MonkeyPatch, counted: dict[str, int], parts: Path, ability: str, way: str
+) -> None:
+    """FMUs with and without derivatives, inputs that can only be held, algebraic loops, relays."""
+    with SlavePool() as pool:
+        for problem in PROBLEMS[:: 1 if way == "derivative to a tolerance" else 3]:
+            experiment = Experiment(stop_time=min(problem.stop, 0.2), max_steps=200, **WAYS[way])
+            system = problem.system(parts, ability)
+            counted["Python"] = 0
+            with monkeypatch.context() as patch:
+                patch.setattr(module, "library", lambda: None)
+                slow = perform(system, experiment, pool=pool)
+            by_python, counted["Python"] = counted["Python"], 0
+            fast = perform(system, experiment, pool=pool)
+            assert_equal(fast, slow)
+            assert by_python > 0
+            if fast.completed:
+                assert counted["Python"] <= by_python // 4, problem.name
+
+
+@pytest.mark.parametrize("name", sorted(path.stem for path in (ROOT / "scenarios").glob("*.toml")))
+def test_every_scenario(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+    """As it is, but for its length, and with `hermite` and `derivative` at fixed steps."""
+    scenario = load_scenario(ROOT / "scenarios" / f"{name}.toml")
+    case = scenario.case(scenario.variants[-1].settings)
+    experiment = replace(case.experiment, stop_time=min(case.experiment.stop_time, 0.1))
+    fixed = {**HELD, "stop_time": 0.05, "step": 2e-3, "options": {}}
+    with SlavePool() as pool:
+        for each in (
+            experiment,
+            replace(experiment, coupling="hermite", **fixed),
+            replace(experiment, coupling="derivative", **fixed),
+        ):
+            fast = perform(case.system, each, pool=pool)
+            with monkeypatch.context() as patch:
+                patch.setattr(module, "library", lambda: None)
+                assert_equal(fast, perform(case.system, each, pool=pool))
+
+
+# -- faulty FMUs, and sanitizers ----------------------------------------------------------------
+
+FAULTS = {"NaN": 6.0, "discards": 7.0, "refuses": 8.0}
+"""How a step past t = 0.5 goes wrong; see fmus/plain.c."""
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return plain_fmu(tmp_path_factory.mktemp("plain"))
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+@pytest.mark.parametrize("way", [*WAYS, "jacobi", "gauss_seidel"])
+def test_faulty_fmus(monkeypatch: pytest.MonkeyPatch, plain: Path, way: str, fault: str) -> None:
+    """The same status, message and rows as by the couplings in Python."""
+    change = WAYS.get(way, {"coupling": way, "step": 2e-3})
+    system = faulty(plain, FAULTS[fault])
+    fast, slow = both(monkeypatch, system, Experiment(stop_time=1.0, **change))
+    assert_equal(fast, slow)
+    assert not fast.completed
+    assert 0.4 < fast.time[-1] <= 0.5
+
+
+@pytest.mark.slow
+def test_sanitizers_find_nothing(plain: Path, parts: Path, tmp_path: Path) -> None:
+    """Runs of every kind, with checks of addresses and of undefined behaviour in the loop."""
+    address = subprocess.run(
+        ["gcc", "-print-file-name=libasan.so"], capture_output=True, text=True, check=True
+    ).stdout.strip()
+    if not Path(address).is_file():
+        pytest.skip("gcc has no libasan here")
+    library = tmp_path / "loop.so"
+    checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-ffp-contract=off"]
+    source = ROOT / "congelation" / "cosim" / "loop.c"
+    subprocess.run(
+        ["gcc", "-std=c99", "-O1", "-g", *checks, "-shared", "-fPIC", source, "-o", library, "-lm"],
+        check=True,
+    )
+    # Python and the FMUs keep memory until the end, which is no fault of the loop.
+    ended = subprocess.run(
+        [sys.executable, "-m", "tests.cosim.sanitized", library, parts, plain],
+        cwd=ROOT,
+        env={**os.environ, "LD_PRELOAD": address, "ASAN_OPTIONS": "detect_leaks=0"},
+        capture_output=True,
+        text=True,
+    )
+    assert ended.returncode == 0, ended.stderr[-3000:]
+    assert int(ended.stdout) >= 50, "runs that the loop has made"

@@ -18,6 +18,7 @@ from congelation.cosim import (
     simulate,
 )
 from congelation.cosim.ensemble import Ensemble
+from congelation.cosim.recording import Columns
 from congelation.cosim.session import Session
 from congelation.errors import InvalidInput
 
@@ -48,7 +49,9 @@ def session(loop):
                     slopes=False,
                     events=coupling.lands_on_events,
                 )
-                made = Session(ensemble, coupling, 0.0, 1.0, tolerance, None, (), None)
+                columns = Columns(ensemble, (), latched=False)
+                made = Session(ensemble, coupling, columns, 0.0, 1.0, tolerance, None)
+                made.begin(system, (), None)
                 return made, made.initialise(None)
 
             yield make

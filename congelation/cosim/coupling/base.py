@@ -234,7 +234,8 @@ class Watch:
             if self._extrapolated:
                 change -= np.diff(self._times)[:, None] * rows[:-1, 1]
             relative = np.abs(change) / (self._nominal + np.abs(values[1:]))
-            self._largest = max(self._largest, float(relative.max()))
+            # The last step of a run that fails may have ended in a value that is no number.
+            self._largest = max(self._largest, float(np.fmax.reduce(relative, axis=None)))
         if count:
             self._rows[0] = rows[-1]
             self._times = self._times[-1:]

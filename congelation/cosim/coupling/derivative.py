@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ from congelation.cosim.exchange import Exchange, settle_discrete
 from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 
-__all__ = ["Derivative", "DerivativeStepper"]
+__all__ = ["Derivative", "DerivativePlan", "DerivativeStepper"]
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -81,6 +81,29 @@ class Derivative(Coupling):
         return DerivativeStepper(ensemble, exchange, self, takes_back=tolerance is not None)
 
 
+class DerivativePlan(NamedTuple):
+    """What `derivative` is on a system, for the compiled loop.
+
+    Parameters
+    ----------
+    halves : bool
+        Whether steps are made again in halves.
+    sequential, exchanges : bool
+        Whether slaves see what others before them have done, and whether outputs and inputs are
+        made to agree after each step.
+    reaches_end : list of bool, one per slave
+        Whether its outputs are read for what held inputs are at the end.
+    ahead : boolean array, shape (slaves, L)
+        The links whose target is that slave, and whose source steps before it.
+    """
+
+    halves: bool
+    sequential: bool
+    exchanges: bool
+    reaches_end: list[bool]
+    ahead: Mask
+
+
 class DerivativeStepper(AdaptiveStepper[Points]):
     """`derivative` at work."""
 
@@ -114,19 +137,19 @@ class DerivativeStepper(AdaptiveStepper[Points]):
             + 2 * sum(self._reaches_end)
         )
 
-    def plan(self) -> npt.NDArray[np.uint8] | None:
-        """The same as data, shape (slaves, L): of each link the highest derivative that its input
-        takes, where its source steps before its target, that slave; else 0. None where the compiled
-        loop does not do it."""
-        if self.halves or self._exchanges or any(self._reaches_end) or not self._sequential:
-            return None
-        links, order = self._ensemble.links, self._ensemble.order
-        slaves = range(len(self._ensemble.slaves))
+    def plan(self) -> DerivativePlan:
+        """The same as data."""
+        links, slaves = self._ensemble.links, range(len(self._ensemble.slaves))
         ahead = [
-            [order[k] if link.source < link.target == m else 0 for k, link in enumerate(links)]
-            for m in slaves
+            [self._sequential and link.source < link.target == m for link in links] for m in slaves
         ]
-        return np.array(ahead, np.uint8).reshape(len(slaves), len(links))
+        return DerivativePlan(
+            self.halves,
+            self._sequential,
+            self._exchanges,
+            self._reaches_end,
+            np.array(ahead, bool).reshape(len(slaves), len(links)),
+        )
 
     def _interpolated(self, m: int) -> tuple[Mask | None, Mask | None, Mask | None] | None:
         """The links into slave m that can be interpolated, as their sources have stepped already:

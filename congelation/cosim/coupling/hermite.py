@@ -29,7 +29,7 @@ from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 from congelation.fmi.slave import StepDiscarded
 
-__all__ = ["Hermite", "HermiteState", "HermiteStepper", "Plan"]
+__all__ = ["Hermite", "HermitePlan", "HermiteState", "HermiteStepper"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -161,31 +161,41 @@ class HermiteState(NamedTuple):
     length: float
 
 
-class Plan(NamedTuple):
-    """What `hermite` is on a system whose inputs take cubics from sources with derivatives, for the
-    compiled loop.
+class HermitePlan(NamedTuple):
+    """What `hermite` is on a system, for the compiled loop.
 
     Parameters
     ----------
+    halves, saves : bool
+        Whether steps are made again in halves; whether fixed ones are repeated.
     highest : int
         LOW or HIGH.
     chooses : bool
         Whether each step may have another order.
     accelerates : bool
     max_iterations : int
-    accuracy : float
-        Change at which iterations end.
+    iterations : int
+        Plain ones, exactly so many; 0: as many as it takes.
+    accuracy, unsettled : float
+        Change at which iterations end, and at which they do where they better it no more.
+    holds_some : list of bool, one per slave
+        Whether an input takes no derivative.
     back : integer array, shape (n / 2,)
         The links that are fed back.
     forward : boolean array, shape (slaves, L)
         The links whose source is that slave, and steps before their target.
     """
 
+    halves: bool
+    saves: bool
     highest: int
     chooses: bool
     accelerates: bool
     max_iterations: int
+    iterations: int
     accuracy: float
+    unsettled: float
+    holds_some: list[bool]
     back: npt.NDArray[np.intp]
     forward: npt.NDArray[np.bool_]
 
@@ -266,19 +276,21 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
             + 2 * sum(self._held)
         )
 
-    def plan(self) -> Plan | None:
-        """The same as data, for steps chosen by a tolerance; None where the compiled loop does not
-        do it."""
+    def plan(self) -> HermitePlan:
+        """The same as data."""
         coupling = self._coupling
-        if self.halves or coupling.iterations is not None or self._tolerance is None:
-            return None
         none = np.zeros(len(self._ensemble.links), bool)
-        return Plan(
+        return HermitePlan(
+            self.halves,
+            self._saves,
             self._highest,
-            coupling.order is None,
+            coupling.order is None and self._tolerance is not None,
             self._accelerates,
             coupling.max_iterations,
+            coupling.iterations or 0,
             self._accuracy,
+            self._unsettled,
+            self._held,
             self._feedback.start,
             np.array([none if mask is None else mask for mask in self._forward]),
         )
@@ -421,7 +433,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         C[0, held] = mean[held]
         C[1, linear] = (w[2, linear] - w[0, linear]) / length
         rise = w[2, quadratic] - w[0, quadratic] - length * w[1, quadratic]
-        C[2, quadratic] = 2.0 * rise / length**2
+        C[2, quadratic] = 2.0 * rise / (length * length)
 
     def _relative(self, distance: Floats, new: Floats) -> tuple[float, int]:
         """The largest of distances, shape (L,), relative to nominal value plus size; and whose."""

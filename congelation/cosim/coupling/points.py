@@ -84,16 +84,17 @@ class Points(NamedTuple):
         """Value and derivative, shape (2, n), at `time` of the polynomials through the values of n
         links, their derivatives not being known."""
         weights = differentiation(np.array(self.times) - time, 0.0)
-        found: Floats = np.array(weights) @ self._values(links)
-        return found
+        return product(np.array(weights), self._values(links))
 
     def slopes(self, end: float, links: Indices, values: Floats) -> tuple[Floats, Floats]:
         """Derivatives, shapes (n,), at the newest point and at `end` of the polynomials through the
         values of n links, those at `end` included."""
         nodes = np.array([*self.times, end]) - end
         table = np.vstack([self._values(links), values])
-        at_start = differentiation(nodes, self.times[-1] - end)[1] @ table
-        return at_start, differentiation(nodes, 0.0)[1] @ table
+        _, at_start = differentiation(nodes, self.times[-1] - end)
+        _, at_end = differentiation(nodes, 0.0)
+        found = product(np.array([at_start, at_end]), table)
+        return found[0], found[1]
 
     def _values(self, links: Indices) -> Floats:
         """The values of some links at the points that there are, shape (n points, n links)."""

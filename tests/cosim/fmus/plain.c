@@ -14,7 +14,7 @@
 #include "fmi2Functions.h"
 
 enum { U1, U2, Y, A, B1, B2, D1, D2, X0, GRAIN, ENDS, FAULT, COUNT };
-enum { NONE, CRASHES, ABORTS, EXITS, HANGS, HANGS_WITH_LOCK, NOT_A_NUMBER };
+enum { NONE, CRASHES, ABORTS, EXITS, HANGS, HANGS_WITH_LOCK, NOT_A_NUMBER, DISCARDS, REFUSES };
 
 typedef struct {
     double v[COUNT], x;
@@ -74,7 +74,11 @@ static void fail(Model *m) {
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     Model *m = c;
-    if (t + h > 0.5) fail(m);
+    if (t + h > 0.5) {
+        if (m->v[FAULT] == DISCARDS) return fmi2Discard;
+        if (m->v[FAULT] == REFUSES) return fmi2Error;
+        fail(m);
+    }
     if (m->v[ENDS] > 0 && t + h > m->v[ENDS]) return fmi2Discard;
     double a = m->v[A], b = m->v[B1] * m->v[U1] + m->v[B2] * m->v[U2];
     m->x = exp(a * h) * m->x + (a == 0 ? h : expm1(a * h) / a) * b;

@@ -1,0 +1,70 @@
+"""Native FMUs under AddressSanitizer and UndefinedBehaviourSanitizer: calls in a random order.
+
+`make fuzz` goes on with new seeds for as long as CONGELATION_FUZZ_SECONDS says.
+"""
+
+from __future__ import annotations
+
+import os
+import random
+import subprocess
+import time
+from pathlib import Path
+
+import fmpy
+import pytest
+
+from tests.native.test_twins import NATIVE
+
+CHECKED = ("ObserverFormPlant", "OutputFeedbackController", "Reference")
+FLAGS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
+CALLS = 20_000
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """By FMU: its sources with the driver, under the sanitizers."""
+    made = {}
+    for name in CHECKED:
+        folder = tmp_path_factory.mktemp(name)
+        sources = Path(fmpy.extract(str(NATIVE / f"{name}.fmu"), str(folder))) / "sources"
+        files = [str(Path(__file__).with_name("calls.c")), *map(str, sorted(sources.glob("*.c")))]
+        made[name] = folder / "calls"
+        command = ["gcc", *FLAGS, f"-I{sources}", *files, "-lm", "-o", str(made[name])]
+        subprocess.run(command, check=True)
+    return made
+
+
+def run(program: Path, name: str, seed: int) -> int:
+    """How many steps were taken among the calls; a fault ends the test, with the seed."""
+    description = fmpy.read_model_description(str(NATIVE / f"{name}.fmu"))
+    variables = len(description.modelVariables)
+    done = subprocess.run(
+        [program, description.guid, str(variables), str(seed), str(CALLS)],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, f"{name}, seed {seed}: {done.stderr[-4000:]}"
+    return int(done.stdout)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CHECKED)
+def test_the_sanitizers_find_nothing(programs: dict[str, Path], name: str) -> None:
+    assert sum(run(programs[name], name, seed) for seed in (1, 2)) > 100
+
+
+@pytest.mark.fuzz
+@pytest.mark.slow
+def test_fresh_seeds(programs: dict[str, Path]) -> None:
+    end = time.monotonic() + float(os.environ.get("CONGELATION_FUZZ_SECONDS", "1"))
+    draw = random.SystemRandom()
+    steps = 0
+    while True:
+        name = draw.choice(CHECKED)
+        steps += run(programs[name], name, draw.randrange(2**32))
+        if time.monotonic() > end:
+            break
+    assert steps > 0
