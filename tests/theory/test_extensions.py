@@ -106,7 +106,7 @@ def test_the_claim_holds(n, p, options):
 def test_under_leakage_the_claimed_rate_is_at_least_the_decay_times_V(options):
     certificate = state_feedback_certificate(random_loop(5, 2, 2, options, robust, sigma=0.4))
     rng, ratios = np.random.default_rng(0), []
-    for _ in range(100):
+    for _ in range(300):
         ell = certificate.sample_ell(rng)
         margin = certificate.at(certificate._drawn(certificate.coordinates.draw(rng), ell), ell)
         ratios.append(margin.claimed / (certificate.decay * margin.V))
