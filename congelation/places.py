@@ -20,13 +20,20 @@ class StoreError(CongelationError):
 def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
     """Let `write` fill a temporary file beside `file`, then rename it into place.
 
+    A link stays, and what it leads to is replaced; a device or a pipe is written to.
+
     Raises
     ------
     StoreError
         If the file cannot be written: no space, no permission.
     """
+    if file.is_symlink():
+        file = file.resolve()
     temporary = file.with_name(f".{file.name}.{os.getpid()}.tmp")
     try:
+        if file.exists() and not file.is_file() and not file.is_dir():
+            write(file)
+            return
         file.parent.mkdir(parents=True, exist_ok=True)
         write(temporary)
         temporary.replace(file)

@@ -163,6 +163,8 @@ def certify(
                 f"{name}: |u| < {level.umax:g} where V < {level.v:.4g}; the design {side}, at "
                 f"V = {level.start:.4g}"
             )
+        if certification.ultimate is not None and not json:
+            print(f"{name}: under leakage V ends below {certification.ultimate:.4g}")
         if certification.unlevelled:
             complain(f"{name}: no level set within the limits: {certification.unlevelled}")
         for reason in certification.reasons:
@@ -193,6 +195,7 @@ def _record(found: Certification) -> dict[str, object]:
             "state": dict(found.level.state),
         },
         "unlevelled": found.unlevelled,
+        "ultimate": found.ultimate,
         "delta": found.delta,
         "radius": found.design.radius,
     }

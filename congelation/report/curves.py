@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DASHES",
     "EVERY",
+    "PICKED",
     "POINTS",
     "Curve",
     "Panel",
@@ -43,6 +44,9 @@ Array = npt.NDArray[np.float64]
 
 EVERY = -1
 """Stands for a variant's number where a curve is the same in all variants."""
+
+PICKED = -2
+"""In place of a variant's number: a curve of the run that a reader has picked."""
 
 DASHES: tuple[tuple[int, ...], ...] = ((), (8, 3), (2, 3), (10, 3, 2, 3), (5, 2), (14, 4))
 STEPS = "communication step"
@@ -74,8 +78,6 @@ class Curve:
     numbers: tuple[float, float, float, float] = field(default=(math.nan,) * 4)
     """At the start, least, largest, at the end."""
     name: str = ""
-    run: str = ""
-    """The run_id, where a page shows one run at a time."""
 
 
 @dataclass(frozen=True)
@@ -127,11 +129,11 @@ def panel_groups(columns: Sequence[str], extra: Sequence[str] = ()) -> dict[str,
 def curve_panels(
     runs: Sequence[tuple[int, Trajectory]],
     extra: Sequence[str] = (),
-    run_ids: Sequence[str] = (),
+    points: int = POINTS,
 ) -> tuple[Panel, ...]:
     """The panels of some runs, each given with the number of its variant.
 
-    With `run_ids` the runs are to be shown one at a time, each by its own curves.
+    A curve has `points` points at most, and two more.
     """
     columns = dict.fromkeys(column for _, run in runs for column in run.columns)
     groups = panel_groups(tuple(columns), extra)
@@ -139,14 +141,7 @@ def curve_panels(
         groups[STEPS] = ()
     panels = []
     for k, (title, members) in enumerate(groups.items()):
-        if run_ids:
-            found = [
-                replace(curve, run=run_id)
-                for run_id, run in zip(run_ids, runs, strict=True)
-                for curve in _curves([run], title, members)
-            ]
-        else:
-            found = [*_curves(runs, title, members)]
+        found = [*_curves(runs, title, members, points)]
         named = tuple(replace(curve, name=f"c{k}.{i}") for i, curve in enumerate(found))
         if named:
             panels.append(Panel(f"p{k}", title, named, _note(title, [run for _, run in runs])))
@@ -166,12 +161,12 @@ def _note(title: str, runs: Sequence[Trajectory]) -> str:
 
 
 def _curves(
-    runs: Sequence[tuple[int, Trajectory]], title: str, members: Sequence[str]
+    runs: Sequence[tuple[int, Trajectory]], title: str, members: Sequence[str], points: int
 ) -> Iterator[Curve]:
     if title == STEPS:
         for variant, run in runs:
             if run.steps is not None and len(run.steps.time):
-                yield _curve("step", variant, (), "s", run.steps.time, run.steps.length)
+                yield _curve("step", variant, (), "s", run.steps.time, run.steps.length, points)
         return
     if title.startswith("|"):
         for variant, run in runs:
@@ -179,7 +174,7 @@ def _curves(
             units = {run.units.get(column, "") for column in own}
             unit = units.pop() if len(units) == 1 else ""
             if own and len(run.time):
-                yield _curve(title, variant, (), unit, run.time, norm(run.select(own)))
+                yield _curve(title, variant, (), unit, run.time, norm(run.select(own)), points)
         return
     for k, column in enumerate(members):
         dash = DASHES[k % len(DASHES)]
@@ -197,7 +192,7 @@ def _curves(
             held = [(EVERY, max((run for _, run in held), key=lambda run: len(run.time)))]
         for variant, run in held:
             shown = run.select((column,))[:, 0]
-            yield _curve(column, variant, dash, run.units.get(column, ""), run.time, shown)
+            yield _curve(column, variant, dash, run.units.get(column, ""), run.time, shown, points)
 
 
 def _common(a: Array, b: Array) -> tuple[Array, Array]:
@@ -205,9 +200,15 @@ def _common(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def _curve(
-    label: str, variant: int, dash: tuple[int, ...], unit: str, time: Array, values: Array
+    label: str,
+    variant: int,
+    dash: tuple[int, ...],
+    unit: str,
+    time: Array,
+    values: Array,
+    points: int,
 ) -> Curve:
-    rows = thin(values, POINTS // 2)
+    rows = thin(values, points // 2)
     numbers = (math.nan,) * 4
     if np.any(np.isfinite(values)):
         least, largest = float(np.nanmin(values)), float(np.nanmax(values))
@@ -289,20 +290,23 @@ def _plot(panel: Panel, variants: Sequence[str], span: Any) -> figure:
     place = CustomJSTransform(v_func=f"return congelation.placed('{panel.name}', xs)")
     for curve in panel.curves:
         source = ColumnDataSource({"time": curve.time, "value": curve.value}, name=curve.name)
-        who = "every variant" if curve.variant == EVERY else variants[curve.variant]
         drawn = plot.line(
             "time",
             transform("value", place),
             source=source,
             line_width=2,
             line_dash=list(curve.dash) or "solid",
-            name=f"{curve.label}, {who}",
+            name=", ".join(filter(None, (curve.label, _who(curve, variants)))),
         )
         drawn.tags = [f"variant {curve.variant}"]  # given above, they would be the glyph's
-        if curve.run:
-            drawn.tags.append(f"run {curve.run}")
-            drawn.visible = curve.run == panel.curves[0].run  # an axis needs a curve to fit
     return plot
+
+
+def _who(curve: Curve, variants: Sequence[str]) -> str:
+    """The variant that a curve is of, for people."""
+    if curve.variant < 0:
+        return {EVERY: "every variant", PICKED: ""}[curve.variant]
+    return variants[curve.variant]
 
 
 def empty_plot(name: str, **options: Any) -> figure:
@@ -351,7 +355,7 @@ def _numbers(panel: Panel, variants: Sequence[str]) -> Iterator[str]:
     yield "</tr></thead><tbody>"
     several = len({curve.unit for curve in panel.curves}) > 1
     for curve in panel.curves:
-        who = "every variant" if curve.variant == EVERY else variants[curve.variant]
+        who = _who(curve, variants)
         error = _ERROR.match(curve.label)
         plain = error["of"] if error else curve.label
         name = pretty(plain.partition(".")[2] or plain)
@@ -359,12 +363,12 @@ def _numbers(panel: Panel, variants: Sequence[str]) -> Iterator[str]:
         if several and plain_unit(curve.unit):
             name += f" [{plain_unit(curve.unit)}]"
         cells = "".join(f"<td>{escape(_short(value))}</td>" for value in curve.numbers)
-        of = f'data-run="{curve.run}" hidden' if curve.run else f'data-variant="{curve.variant}"'
-        label = (
-            f"{swatch(curve.variant, curve.dash)} {escape(name)}<br><small>{escape(who)}</small>"
+        label = f"{swatch(curve.variant, curve.dash)} {escape(name)}" + (
+            f"<br><small>{escape(who)}</small>" if who else ""
         )
         yield (
-            f'<tr {of}><th scope="row">{label}</th>{cells}<td data-curve="{curve.name}">–</td></tr>'
+            f'<tr data-variant="{curve.variant}"><th scope="row">{label}</th>{cells}'
+            f'<td data-curve="{curve.name}">–</td></tr>'
         )
     yield "</tbody></table></div>"
 

@@ -157,8 +157,10 @@ def pairs(entries: Iterable[tuple[str, str]]) -> Iterator[str]:
 
 
 def swatch(variant: int, dash: Sequence[int] = ()) -> str:
-    """A piece of a curve: the colour of a variant (-1: of what all share) and a dash pattern."""
-    shade = "var(--every)" if variant < 0 else f"var(--v{variant % 8})"
+    """A piece of a curve: the colour of a variant (-1: of what all share, -2: of the run that is
+    picked) and a dash pattern."""
+    shared = {-1: "var(--every)", -2: "var(--picked)"}
+    shade = shared.get(variant, f"var(--v{variant % 8})")
     pattern = f' stroke-dasharray="{" ".join(map(str, dash))}"' if dash else ""
     return (
         '<svg class="swatch" viewBox="0 0 30 10" aria-hidden="true"><line x1="0" y1="5" x2="30" '

@@ -8,7 +8,8 @@ window.congelation = (() => {
 
   const model = (name) => bokeh.get_model_by_name(name);
   const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-  const colour = (variant) => css(variant < 0 ? "--every" : `--v${variant % 8}`);
+  const shared = {"-1": "--every", "-2": "--picked"};
+  const colour = (variant) => css(shared[variant] ?? `--v${variant % 8}`);
   const each = (selector, act) => document.querySelectorAll(selector).forEach(act);
 
   function number(value) {
@@ -111,7 +112,7 @@ window.congelation = (() => {
       }
     }
   }
-  function variantOf(renderer) {  // the tag "variant 0"; -1: of all
+  function variantOf(renderer) {  // the tag "variant 0"; -1: of all, -2: of the run that is picked
     const tag = renderer.tags.find((t) => String(t).startsWith("variant "));
     return tag === undefined ? null : Number(tag.slice(8));
   }
@@ -199,6 +200,6 @@ window.congelation = (() => {
     document.documentElement.dataset.ready = "yes";
   }
 
-  return {state, scales, model, css, colour, each, number, place, placed, ticks, tick, shown,
+  return {state, scales, model, css, colour, paint, each, number, place, placed, ticks, tick, shown,
           recolour, cursor, start, bokeh: () => bokeh};
 })();

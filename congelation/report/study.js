@@ -264,24 +264,40 @@ congelation.study = (() => {
       : `none of ${count} runs`;
   }
 
+  // A curve of the run that is picked: its points, and its row in the table beside the plot.
+  const floats = (text) =>
+    new Float32Array(Uint8Array.from(atob(text), (c) => c.charCodeAt(0)).buffer);
+  function fillCurve(cell, held) {
+    const curve = held[cell.dataset.curve], row = cell.parentElement;
+    row.hidden = !curve;
+    model(cell.dataset.curve).data = curve
+      ? {time: floats(curve.time), value: floats(curve.value)} : {time: [], value: []};
+    row.querySelectorAll("td:not([data-curve])").forEach((found, i) => {
+      const value = curve ? curve.numbers[i] : null;
+      found.textContent = value === null ? "–" : number(Number(Number(value).toPrecision(3)));
+    });
+    cell.textContent = "–";
+  }
+
   // A run that is picked, in a plot or the table: what it was, and its trajectories.
   function open(k) {
     const id = study.run_id[k];
     each("#runs tbody tr", (row) => row.classList.toggle("chosen", row.dataset.run === id));
-    const here = study.embedded.includes(id);
+    const held = study.trajectories[id];
     const settings = study.axes.map((a) => `${name(a)} = ${text(a, columns[a][k])}`).join(", ");
     document.getElementById("picked").textContent =
       `Run ${id}: ${cells.variant(k)}${settings ? `, ${settings}` : ""}; ${study.status[k]}. `
       + (study.message[k] ?? "")
-      + (here ? ""
+      + (held ? ""
         : study.stored ? ` Its trajectory is not in this page: trajectories/${id}.parquet.`
         : " No trajectories were kept; trajectories = true in [sweep] keeps them.");
-    for (const found of here ? congelation.bokeh()._all_models.values() : []) {
-      const tag = found.type === "GlyphRenderer" && found.tags.find((t) => t.startsWith("run "));
-      if (tag) found.visible = tag === `run ${id}`;
+    const place = document.getElementById("trajectories");
+    place.hidden = !held;
+    if (held) {
+      document.documentElement.style.setProperty("--picked", `var(--v${study.variant[k] % 8})`);
+      place.querySelectorAll("td[data-curve]").forEach((cell) => fillCurve(cell, held));
+      congelation.paint();
     }
-    each("#trajectories tr[data-run]", (row) => { row.hidden = row.dataset.run !== id; });
-    document.getElementById("trajectories").hidden = !here;
     document.getElementById("picked").scrollIntoView({block: "nearest"});
   }
   function pick(source) {

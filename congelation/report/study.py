@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import base64
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from html import escape
 from typing import TYPE_CHECKING, Any
 
-from congelation.report.curves import curve_panels, draw_panels
+import numpy as np
+import numpy.typing as npt
+
+from congelation.report.curves import PICKED, Curve, Panel, curve_panels, draw_panels
 from congelation.report.page import Drawn, swatch, table
 from congelation.report.summary import label_of, number, summarise
 from congelation.report.verdict import FEW, axes_of, settled
-from congelation.results.record import RunRecord, Study
+from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 
 if TYPE_CHECKING:
@@ -20,8 +25,12 @@ if TYPE_CHECKING:
 
 __all__ = ["study_content"]
 
-EMBEDDED = 20
-"""Runs whose trajectories are in the page; a click on another one names its file."""
+EMBEDDED, BUDGET = 200, 250_000
+"""Runs whose trajectories are in the page at most, and points of all their curves: 2.7 MB. A click
+on another run names its file."""
+
+POINTS = 1000
+"""Of each of these curves."""
 
 LARGEST = 20_000
 """Runs of which the page has a row each; of a larger study it takes every k-th."""
@@ -51,22 +60,26 @@ def study_content(
     if len(metrics) > 1:
         pieces += _pareto_section(metrics, variants, study)
     kept = [run for run in runs if results.store.trajectory_file(run.run_id).is_file()]
-    embedded = kept[:: max(1, math.ceil(len(kept) / EMBEDDED))]
     columns = ["run", "variant", *axes, "status", *metrics]
     pieces += _table_section(columns, study, runs)
-    curves, scales = draw_panels(
-        curve_panels(
-            [(variants.index(r.variant), results.store.trajectory(r.run_id)) for r in embedded],
-            run_ids=[run.run_id for run in embedded],
-        ),
-        variants,
-    )
-    note = (
-        f"A click on a point or on a row of the table shows the run. The trajectories of "
-        f"{len(embedded)} of {len(kept)} runs are in this page; of the others it names the file."
-        if kept
-        else "A click on a point or on a row of the table shows the run. No trajectories were kept."
-    )
+    embedded = _embedded(results, kept)
+    panels, held = _picked_panels(embedded)
+    curves, scales = draw_panels(panels, variants)
+    note = "A click on a point or on a row of the table shows the run. "
+    if not kept:
+        note += "No trajectories were kept; trajectories = true under [sweep] keeps them."
+    elif len(embedded) == len(kept):
+        note += f"The trajectories of {len(kept)} runs are in this page."
+    else:
+        note += (
+            f"The trajectories of {len(embedded)} of {len(kept)} runs are in this page; of the "
+            "others it names the file."
+        )
+    if any(len(recorded.time) > POINTS for recorded in embedded.values()):
+        note += (
+            f" {POINTS} points of each curve are drawn: the least and the largest of each of "
+            f"{POINTS // 2} stretches."
+        )
     pieces += [
         f'<h2>A run</h2><p class="note">{escape(note)}</p><p id="picked" role="status"></p>',
         '<div id="trajectories" hidden>',
@@ -77,7 +90,62 @@ def study_content(
     ]
     summary = summarise(study)
     pieces += table(summary.columns, summary.lines, "Quantiles over the runs of each variant")
-    return pieces, {**scales, **_no_scales()}, _data(study, runs, axes, columns, embedded, kept)
+    data = {**_data(study, runs, axes, columns), "trajectories": held, "stored": bool(kept)}
+    return pieces, {**scales, **_no_scales()}, data
+
+
+def _embedded(results: Results, kept: Sequence[RunRecord]) -> dict[str, Trajectory]:
+    """Trajectories for the page by run_id: of so many runs as the budget allows, evenly spaced."""
+    if not kept:
+        return {}
+    first = results.store.trajectory(kept[0].run_id)
+    size = min(len(first.time), POINTS) * (len(first.columns) + 1)
+    count = min(EMBEDDED, max(1, BUDGET // max(1, size)))
+    chosen = kept[:: math.ceil(len(kept) / count)]
+    return {run.run_id: results.store.trajectory(run.run_id) for run in chosen}
+
+
+def _picked_panels(
+    embedded: Mapping[str, Trajectory],
+) -> tuple[list[Panel], dict[str, dict[str, dict[str, Any]]]]:
+    """Panels for one run at a time, and by run_id and curve what study.js draws in them.
+
+    A curve is its times and values, single precision numbers in base64, and the numbers of the
+    table beside the plot.
+    """
+    found: dict[str, dict[str, Curve]] = {}
+    held: dict[str, dict[str, dict[str, Any]]] = {}
+    for run_id, trajectory in embedded.items():
+        held[run_id] = {}
+        for panel in curve_panels([(PICKED, trajectory)], points=POINTS):
+            known = found.setdefault(panel.title, {})
+            for curve in panel.curves:
+                name = f"{panel.title}: {curve.label}"
+                held[run_id][name] = {
+                    "time": _base64(curve.time),
+                    "value": _base64(curve.value),
+                    "numbers": curve.numbers,
+                }
+                # Time axis and scale are of all runs; the script draws the one that is picked.
+                before = known.get(name, curve)
+                time = np.concatenate([before.time, curve.time])
+                value = np.concatenate([before.value, curve.value])
+                known[name] = replace(
+                    curve,
+                    name=name,
+                    time=np.array([time.min(), time.max()]) if len(time) else time,
+                    value=np.array([value.min(), value.max()]) if len(time) else value,
+                    numbers=(math.nan,) * 4,
+                )
+    panels = [
+        Panel(f"p{k}", title, tuple(curves.values()))
+        for k, (title, curves) in enumerate(found.items())
+    ]
+    return panels, held
+
+
+def _base64(values: npt.NDArray[np.float64]) -> str:
+    return base64.b64encode(values.astype("<f4").tobytes()).decode()
 
 
 def _data(
@@ -85,8 +153,6 @@ def _data(
     runs: Sequence[RunRecord],
     axes: Mapping[str, Any],
     columns: Sequence[str],
-    embedded: Sequence[RunRecord],
-    kept: Sequence[RunRecord],
 ) -> dict[str, Any]:
     from bokeh.palettes import Cividis256  # even in lightness, also for colour-blind readers
 
@@ -107,8 +173,6 @@ def _data(
         "axes": list(axes),
         "metrics": list(about),
         "table": list(columns),
-        "embedded": [run.run_id for run in embedded],
-        "stored": bool(kept),
         "palette": list(Cividis256),
     }
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
@@ -270,9 +269,13 @@ def thin(values: Array, bins: int) -> npt.NDArray[np.intp]:
     if len(finite) <= 2 * bins:
         return finite
     values = values[finite]
-    edges = np.linspace(0, len(finite), bins + 1).astype(int)
-    keep = {0, len(finite) - 1}
-    for start, stop in itertools.pairwise(edges):
-        keep.add(start + int(np.argmin(values[start:stop])))
-        keep.add(start + int(np.argmax(values[start:stop])))
-    return finite[sorted(keep)]
+    # Bins of equal width; the last one is filled up with what is no extreme.
+    width = -(-len(finite) // bins)
+    first = np.arange(0, len(finite), width)
+    padding = len(first) * width - len(finite)
+    keep = [np.array([0, len(finite) - 1])]
+    for find, other in ((np.argmin, np.inf), (np.argmax, -np.inf)):
+        table = np.append(values, np.full(padding, other)).reshape(len(first), width)
+        keep.append(first + find(table, axis=1))
+    rows: npt.NDArray[np.intp] = finite[np.unique(np.concatenate(keep))]
+    return rows

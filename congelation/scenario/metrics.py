@@ -294,6 +294,22 @@ _BUILT_IN = (
         loop=True,
     ),
     Metric(
+        "ultimate_bound",
+        None,
+        "b/a, b the largest residue of the run and a V the least claimed rate: what V ends below;"
+        " empty without leakage, where a = 0 (Ioannou and Sun 1996, sec. 8.4.1)",
+        _ratio,
+        loop=True,
+    ),
+    Metric(
+        "ultimate_share",
+        None,
+        "max_t V(t) / (exp(-a t) V(0) + (1 - exp(-a t)) b/a), at most 1 where the certificate"
+        " holds; empty where a = 0 (Ioannou and Sun 1996, sec. 8.4.1)",
+        _ratio,
+        loop=True,
+    ),
+    Metric(
         "deviation",
         None,
         "max over time and recorded variables of |co-simulated - monolithic| / peak, the latter by"

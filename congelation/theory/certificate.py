@@ -278,6 +278,9 @@ class Certificate:
         Where the search draws and ascends.
     nominal : casadi.SX or None
         theta at Delta = 0, in terms of the loop's states and ell; None: ell itself, less delta.
+    decay : float
+        a > 0 where the claimed rate is at least a V everywhere, so that V ends below residue/a; 0
+        where it is not, such as without leakage.
     """
 
     loop: ClosedLoop
@@ -289,6 +292,14 @@ class Certificate:
     sample_ell: Callable[[np.random.Generator], Vector]
     coordinates: Coordinates
     nominal: ca.SX | None = None
+    decay: float = 0.0
+
+    def ultimate(self, ell: ArrayLike) -> float | None:
+        """The bound that V ends below, residue/a; None where there is none for every reference."""
+        function = ca.Function("residue", [self.ell], [self.residue], {"allow_free": True})
+        if self.decay <= 0 or function.has_free():
+            return None
+        return float(function(np.asarray(ell, float))) / self.decay
 
     def at(self, state: ArrayLike, ell: ArrayLike) -> Margin:
         """The margin at a state of the closed loop, for congealed parameters ell."""

@@ -39,7 +39,8 @@ def scalar_certificate(loop: ClosedLoop) -> Certificate:
     x, ell = _state(loop, "x"), _congealed(loop)
     V = x**2 / 2 + _estimation(loop, ell, loop.values["gamma"]) / 2
     claimed = loop.values["k_bar"].item() * x**2
-    return _of_x(loop, ell, V, claimed, _ball(loop, -np.ones(1)), leakage=1)
+    rate = 2 * loop.values["k_bar"].item()
+    return _of_x(loop, ell, V, claimed, _ball(loop, -np.ones(1)), 1, rate, loop.values["gamma"])
 
 
 def matched_certificate(loop: ClosedLoop) -> Certificate:
@@ -54,7 +55,9 @@ def matched_certificate(loop: ClosedLoop) -> Certificate:
         (gain,) = loop.controller.gains
         first_order = np.sign(np.asarray(gain.constants["B"], float)).ravel()
     perturbations = _ball(loop, first_order)
-    return _of_x(loop, ell, V, _quadratic(values["Q"], x), perturbations, leakage=2)
+    rate = float(np.linalg.eigvals(_inverse(values["P"]) @ values["Q"]).real.min())
+    claimed = _quadratic(values["Q"], x)
+    return _of_x(loop, ell, V, claimed, perturbations, 2, rate, values["Gamma"])
 
 
 def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
@@ -89,6 +92,7 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
     V = ca.sumsqr(z) / 2 + _quadratic(_inverse(values["Gamma"]), difference) / 2
     rate = np.array(values["c"], dtype=float).ravel()
     claimed, residue = law.decay(ell[:p], theta_hat), law.residue(ell[:p])
+    falls = [law.sigma * _smallest(values["Gamma"])]
     drawn = {"z": n, "error": p}
     if not known:
         drawn["D_error"] = 1
@@ -117,6 +121,7 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
         V += (D - D_hat) ** 2 / (2 * values["gamma_D"].item())
         claimed += D_law.decay(D, D_hat)
         residue += D_law.residue(D)
+        falls.append(D_law.sigma * values["gamma_D"].item())
         solved["D_hat"] = D + free["D_error"]
     if varying_gain:
         sign, ell_b, rho_hat = values["sign_b"].item(), ell[p], _state(loop, "rho_hat")
@@ -125,6 +130,7 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
         V += sign * ell_b * (1 / ell_b - rho_hat) ** 2 / (2 * values["gamma"].item())
         claimed += sign * ell_b * rho_law.decay(1 / ell_b, rho_hat)
         residue += sign * ell_b * rho_law.residue(1 / ell_b)
+        falls.append(rho_law.sigma * values["gamma"].item())
         solved["rho_hat"] = sign * free["root"] ** 2  # sign_b rho_hat >= 0 for ever
         gain = theta.numel() - 1
         perturbations = replace(
@@ -155,7 +161,10 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
         (slope_of_x,) = loop.bind([loop.rate[0]])
         (slope,) = ca.substitute([ca.jacobian(slope_of_x, theta)], [x], [1])  # phibar_{1,1}
         perturbations = _ball(loop, np.asarray(ca.DM(slope)).ravel())
-    return Certificate(loop, ell, V, claimed, residue, perturbations, sample, coordinates, nominal)
+    decay = min(2 * float(rate.min()), *falls)
+    return Certificate(
+        loop, ell, V, claimed, residue, perturbations, sample, coordinates, nominal, decay
+    )
 
 
 def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
@@ -306,9 +315,11 @@ def _of_x(
     claimed: ca.SX,
     perturbations: PerturbationSet,
     leakage: float,
+    rate: float,
+    Gamma: Matrix,
 ) -> Certificate:
     """The certificate of a design whose error variables are x; V holds `leakage`/2 of the
-    estimation error's square."""
+    estimation error's square, and falls at `rate` without it."""
     x, theta_hat = _state(loop, "x"), _state(loop, "theta_hat")
     law = claim_of(loop.values, "theta_hat", theta_hat.numel())
     drawn, error = ca.SX.sym("x", x.numel()), ca.SX.sym("error", theta_hat.numel())
@@ -322,7 +333,13 @@ def _of_x(
         perturbations,
         _within(law),
         Coordinates(ca.vertcat(drawn, error), X, (drawn.numel(), error.numel())),
+        decay=min(rate, law.sigma * _smallest(Gamma)),
     )
+
+
+def _smallest(Gamma: Matrix) -> float:
+    """The smallest eigenvalue: sigma times it is the rate at which leakage alone lets V fall."""
+    return float(np.linalg.eigvalsh(np.atleast_2d(Gamma)).min())
 
 
 def _stacked(loop: ClosedLoop, values: Mapping[str, ca.SX]) -> ca.SX:

@@ -114,6 +114,9 @@ class Certification:
         Of a design that holds and was asked for limits of its control: the largest level set of V
         on which it stays within them; None where there is none, which `unlevelled` explains.
     unlevelled : str
+    ultimate : float or None
+        Of a design that holds under leakage: what V ends below. None where V tends to 0, where the
+        bound depends on a reference, or where V bounds nothing of the kind (output feedback).
     """
 
     design: Design
@@ -122,11 +125,14 @@ class Certification:
     finding: Finding | None = None
     level: Level | None = None
     unlevelled: str = ""
+    ultimate: float | None = None
 
     def __repr__(self) -> str:
         """The verdict and its reasons; the design itself would fill pages."""
         lines = [f"{self.design.name}: {self.verdict.value}"]
         lines += [f"  {reason}" for reason in self.reasons]
+        if self.ultimate is not None:
+            lines.append(f"  V ends below {self.ultimate:.6g}")
         lines += [f"  warning: {warning}" for warning in self.warnings]
         return "\n".join(lines)
 
@@ -270,7 +276,12 @@ def certify_design(design: Design, samples: int = 1000, seed: int = 0) -> Certif
             f"{samples} states; give parameters nearer to 1, the most extreme is {finding.extreme}"
         )
         return Certification(design, Verdict.PRECISION, (reason,), finding)
-    return Certification(design, Verdict.HOLDS, (), finding)
+    ultimate = None
+    known = np.isfinite([*design.center, *design.half]).all() and bool(design.center)
+    if known and design.loop.controller.Upsilon is None and not certificate.residue.is_zero():
+        ell = certificate.perturbations.ell(np.array(design.center), np.array(design.half))
+        ultimate = certificate.ultimate(ell)
+    return Certification(design, Verdict.HOLDS, (), finding, ultimate=ultimate)
 
 
 def _violation(finding: Finding) -> str:
@@ -296,7 +307,7 @@ def designs_of(source: Path | str | Spec | Scenario) -> Sequence[Design]:
 def _is_spec(file: Path) -> bool:
     """Whether a readable TOML file has the key that only specs have."""
     try:
-        return "form" in tomllib.loads(file.read_text("utf-8"))
+        return "form" in tomllib.loads(file.read_text("utf-8-sig"))
     except (OSError, ValueError):
         # What is wrong with it is said by the reader of scenarios.
         return False

@@ -61,6 +61,8 @@ class Along:
         The largest V' that the radii allow.
     claimed, residue : ndarray, shape (K,)
         The claimed rate of decay, and what V' may exceed it by.
+    decay : float
+        a > 0 where the claimed rate is at least a V; else 0.
     """
 
     time: Floats
@@ -69,6 +71,20 @@ class Along:
     rate: Floats
     claimed: Floats
     residue: Floats
+    decay: float
+
+    @property
+    def ultimate(self) -> float:
+        """b/a, b the largest residue of the run: what V ends below; nan where a = 0."""
+        return float(np.max(self.residue) / self.decay) if self.decay > 0 else float("nan")
+
+    @property
+    def ultimate_share(self) -> float:
+        """max_t V(t) / (e^(-a t) V(0) + (1 - e^(-a t)) b/a), at most 1 where the certificate holds;
+        nan where a = 0."""
+        fallen = np.exp(-self.decay * (self.time - self.time[0]))
+        bound = fallen * self.V[0] + (1 - fallen) * self.ultimate
+        return float(np.max(self.V / bound))
 
     @property
     def worst(self) -> float:
@@ -139,6 +155,7 @@ def along(
         np.array([margin.rate for margin in margins]),
         np.array([margin.claimed for margin in margins]),
         np.array([margin.residue for margin in margins]),
+        certificate.decay,
     )
 
 

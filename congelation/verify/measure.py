@@ -89,6 +89,20 @@ def lyapunov_share(case: Case, time: Floats, columns: Sequence[str], values: Flo
     return along(case, time, columns, values, MOST_INTEGRATED).share
 
 
+def ultimate_bound(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
+    """What the certificate says that V ends below."""
+    from congelation.verify.lyapunov import along
+
+    return along(case, time, columns, values).ultimate
+
+
+def ultimate_share(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
+    """The largest V of the run, each against its bound at that time."""
+    from congelation.verify.lyapunov import along
+
+    return along(case, time, columns, values).ultimate_share
+
+
 def deviation(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
     """The largest distance from the monolithic solution, relative to a variable's peak."""
     from congelation.verify.reference import compare, reference  # as above
@@ -100,6 +114,8 @@ def deviation(case: Case, time: Floats, columns: Sequence[str], values: Floats) 
 LOOP_METRICS: Mapping[str, Callable[[Case, Floats, Sequence[str], Floats], float]] = {
     "lyapunov": lyapunov,
     "lyapunov_share": lyapunov_share,
+    "ultimate_bound": ultimate_bound,
+    "ultimate_share": ultimate_share,
     "deviation": deviation,
 }
 """The functions of the metrics that are declared to be of the loop, by name."""

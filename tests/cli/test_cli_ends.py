@@ -6,6 +6,7 @@ import json
 import os
 import re
 import subprocess
+import threading
 import zipfile
 from pathlib import Path
 
@@ -13,7 +14,7 @@ import pytest
 
 from congelation.results.results import open_results
 from tests.cosim.c_fmus import plain_fmu
-from tests.scenarios import FMUS, SCALAR, write
+from tests.scenarios import FMUS, ROOT, SCALAR, write
 from tests.studies import COMMAND, environment, process
 from tests.studies import command as congelation
 from tests.studies import last_line as one_line
@@ -153,6 +154,33 @@ def test_an_archive_without_a_stop_time_runs_with_one(tmp_path: Path) -> None:
     assert "run with --stop-time" in one_line(done, 2)
     done = congelation("run", file, "--out", tmp_path / "out", "--stop-time", "0.2")
     assert done.returncode == 0, done.stderr
+
+
+def test_a_pipe_is_written_to_and_a_link_stays(tmp_path: Path) -> None:
+    """Both were replaced by a file of their name; so would a device have been."""
+    pipe, link, target = (tmp_path / name for name in ("pipe", "link", "target"))
+    os.mkfifo(pipe)
+    target.write_text("")
+    link.symlink_to(target)
+    read: list[str] = []
+    reader = threading.Thread(target=lambda: read.append(pipe.read_text()))
+    reader.start()
+    fmu = FMUS / "ScalarPlant.fmu"
+    done = congelation("check", fmu, "--static", "--json", pipe, "--junit", link)
+    reader.join(timeout=60.0)
+    assert done.returncode == 0, done.stderr
+    assert pipe.is_fifo()
+    assert json.loads(read[0])["counts"]["violation"] == 0
+    assert link.is_symlink()
+    assert "<testsuite" in target.read_text()
+
+
+def test_a_spec_with_a_byte_order_mark_is_certified(tmp_path: Path) -> None:
+    spec = tmp_path / "marked.toml"
+    spec.write_bytes(b"\xef\xbb\xbf" + (ROOT / "specs" / "scalar.toml").read_bytes())
+    done = congelation("certify", spec)
+    assert done.returncode == 0, done.stderr
+    assert "holds" in done.stdout
 
 
 SLOW = """

@@ -8,8 +8,10 @@ from pathlib import Path
 from urllib.parse import unquote, urldefrag
 
 import pytest
+import typer
 from lxml import html
 
+from congelation.cli import app
 from tests.scenarios import ROOT
 
 
@@ -49,3 +51,21 @@ def test_no_page_fetches_anything_from_elsewhere(site: Path) -> None:
     for page in site.rglob("*.html"):
         sources = html.parse(page).xpath("//script/@src | //link[@rel='stylesheet']/@href")
         assert not [source for source in sources if "://" in source], page
+
+
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("*/*.md")])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_commands_in_pages_exist_with_their_options(page: Path) -> None:
+    """Indented lines ``congelation COMMAND --option``; comments after # are left out."""
+    known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    for line in page.read_text("utf-8").splitlines():
+        if not line.startswith("    congelation ") or "generated" in page.parts:
+            continue
+        _, name, *words = line.partition(" #")[0].replace("[", " ").replace("]", " ").split()
+        if name in ("COMMAND", "--version", "--help") or name.endswith(":"):
+            continue
+        options = {option for p in known[name].params for option in (*p.opts, *p.secondary_opts)}
+        given = {word.partition("=")[0] for word in words if word.startswith("--")}
+        assert given <= options | {"--help"}, line

@@ -189,8 +189,7 @@ def test_what_never_settles_is_drawn_above_all_else(browser: Browser, study_page
 
 
 def test_a_point_and_a_row_open_a_run(browser: Browser, study_page: Path) -> None:
-    visible = """[...Bokeh.documents[0]._all_models.values()].filter((m) =>
-        m.type === "GlyphRenderer" && m.visible && m.tags.includes("run r02")).length"""
+    drawn = "[...congelation.model('controller.u: controller.u').data.value].slice(0, 1)"
     with opened(browser, study_page) as page:
         assert page.locator("#trajectories").is_hidden()
         # A click where the first point of Controller 2 is drawn.
@@ -208,7 +207,9 @@ def test_a_point_and_a_row_open_a_run(browser: Browser, study_page: Path) -> Non
         )
         page.mouse.click(*place)
         page.wait_for_function("document.getElementById('picked').textContent.includes('r02')")
-        assert page.evaluate(visible) > 0
+        assert page.evaluate(drawn) == [1.0]  # u = exp(-t)
+        numbers = page.locator("#trajectories section", has_text="controller.u").locator("td")
+        assert numbers.first.text_content() == "1"
         assert page.locator("#trajectories").is_visible()
         keep(page, "study-run")
         row = page.locator('#runs tr[data-run="r72"]')

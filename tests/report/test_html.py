@@ -119,4 +119,4 @@ def test_a_study_says_where_it_fails_and_what_it_costs(tmp_path: Path) -> None:
     assert "from omega = 10 on." in head
     assert "a peak of |u| that is 50 times that of Controller 2" in head
     assert "plant: x[1] <too> large" in found.text
-    assert "No trajectories were kept." in found.text
+    assert "No trajectories were kept; trajectories = true under [sweep] keeps them." in found.text

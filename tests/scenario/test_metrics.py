@@ -65,6 +65,8 @@ def test_every_metric_is_tested_and_defined() -> None:
         "overshoot",
         "lyapunov",
         "lyapunov_share",
+        "ultimate_bound",
+        "ultimate_share",
         "deviation",
     }
     for name, entry in METRICS.items():

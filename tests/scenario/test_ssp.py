@@ -480,6 +480,19 @@ BINDING = '<ssd:ParameterBinding source="resources/plant.ssv"'
         ),
         (
             SSD,
+            CONNECTION,
+            CONNECTION[:-2] + ' suppressUnitConversion="true"/>',
+            "connection 'plant.x -> controller.x': suppressUnitConversion; units are always",
+        ),
+        (
+            SSD,
+            '<ssd:Connector name="u" kind="input">\n            <ssc:Real/>',
+            '<ssd:Connector name="u" kind="input">\n            <ssc:Integer/>',
+            "component 'plant': the connector 'u' is of type Integer, the variable of the FMU of "
+            "type Real; give the FMU's",
+        ),
+        (
+            SSD,
             BINDING,
             BINDING + ' type="text/csv"',
             "component 'plant': parameters of type 'text/csv'",

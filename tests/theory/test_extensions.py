@@ -102,6 +102,19 @@ def test_the_claim_holds(n, p, options):
         assert finding.resolved > 0
 
 
+@pytest.mark.parametrize("options", [Options(), *EVERY], ids=named)
+def test_under_leakage_the_claimed_rate_is_at_least_the_decay_times_V(options):
+    certificate = state_feedback_certificate(random_loop(5, 2, 2, options, robust, sigma=0.4))
+    rng, ratios = np.random.default_rng(0), []
+    for _ in range(300):
+        ell = certificate.sample_ell(rng)
+        margin = certificate.at(certificate._drawn(certificate.coordinates.draw(rng), ell), ell)
+        ratios.append(margin.claimed / (certificate.decay * margin.V))
+    assert certificate.decay > 0
+    assert min(ratios) >= 1 - 1e-9
+    assert min(ratios) < 1.1  # and the decay is not far below what it may be
+
+
 def test_sets_of_the_laws_keep_the_claim():
     """Projection and switching leakage, for every estimate."""
     options = EVERY[-1]
@@ -240,7 +253,11 @@ def test_without_options_the_law_is_the_paper_s():
 
 
 def test_derivation_at_order_4_of_4_parameters():
-    for options in EVERY:
+    """Every option excludes none but the bound estimator, which excludes two."""
+    known = tuple(("1", "sin(3*t)") for _ in range(4))
+    estimators = [Options(bound_estimator=True), Options(bound_estimator=True, tracking=True)]
+    structured = [dataclasses.replace(options, Upsilon=known) for options in EVERY[-1:]]
+    for options in (Options(), *EVERY, *estimators, *structured):
         rng = np.random.default_rng(8)
         model = state_feedback_controller(random_phibar(rng, 4, 4), robust, options)
         assert model.output("u").numel() == 1

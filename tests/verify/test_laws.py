@@ -256,3 +256,32 @@ def test_structured_variations_keep_to_their_claim_along_a_run(tmp_path: Path) -
     assert free.metrics["margin"] > 1e-3
     with pytest.raises(InvalidInput, match="which an attack would break"):
         cg.attack(file, effort=0.01)
+
+
+def test_the_ultimate_bound_under_leakage(tmp_path: Path) -> None:
+    """a = min(2 c, sigma lambda_min(Gamma)) and b = sigma |ell - theta_c|^2/2, ell = (-3, 2)."""
+    text = (ROOT / "specs" / "state_feedback.toml").read_text()
+    old = "start = {c = [0.5, 0.5]"
+    (found,) = certify(changed(tmp_path, old, old + ", sigma = 0.1", text), samples=50)
+    assert found.ultimate == pytest.approx(0.1 * 13 / 2 / 0.1)
+    (found,) = certify(ROOT / "specs" / "state_feedback.toml", samples=50)
+    assert found.ultimate is None
+    (found,) = certify(ROOT / "specs" / "tracking.toml", samples=50)  # depends on the reference
+    assert found.ultimate is None
+
+
+def test_a_run_keeps_below_its_ultimate_bound(tmp_path: Path) -> None:
+    change = (
+        'share = {metric = "lyapunov_share"}',
+        'bound = {metric = "ultimate_bound"}\nused = {metric = "ultimate_share"}',
+    )
+    text = tracking(tmp_path, change).read_text()
+    file = tmp_path / "leakage.toml"
+    file.write_text(text)
+    scenario = cg.load_scenario(file)
+    runs = {run.variant: run for run in cg.run(scenario, out=tmp_path / "out").runs}
+    leaking = runs["with leakage"].metrics
+    # a = sigma Gamma = 1; at least the residue of leakage, sigma |ell - theta_c|^2/2 = 0.025 * 13
+    assert leaking["bound"] > 0.32
+    assert 0 < leaking["used"] <= 1
+    assert runs["epsilon_r = 1"].metrics["bound"] is None

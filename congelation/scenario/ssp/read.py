@@ -17,7 +17,7 @@ from typing import Any
 from lxml import etree
 
 from congelation.errors import nearest
-from congelation.fmi.description import describe
+from congelation.fmi.description import Variable, describe
 from congelation.scenario.parts import replaced
 from congelation.scenario.scenario import EXPERIMENT, Scenario
 from congelation.scenario.ssp.archive import (
@@ -131,8 +131,32 @@ def _components(
         # SSP 1.0: parameters for which there is no variable are ignored.
         start = {key: value for key, value in values.items() if key in known}
         ignored |= {f"{name}.{key}": v for key, v in values.items() if key not in known}
+        _check_connectors(element, known, archive, what)
         components[name] = {"fmu": str(fmu), "start": start}
     return components, ignored | overriding
+
+
+def _check_connectors(
+    element: etree._Element, known: Mapping[str, Variable], archive: Archive, what: str
+) -> None:
+    """Refuse connectors whose type or unit is not that of the FMU's variable."""
+    for connector in element.findall("ssd:Connectors/ssd:Connector", NAMESPACES):
+        variable = known.get(connector.get("name", ""))
+        typed = [e for e in connector if isinstance(e.tag, str) and NAMESPACES["ssc"] in e.tag]
+        if variable is None or not typed:
+            continue
+        kind = etree.QName(typed[0]).localname
+        if {"Enumeration": "Integer"}.get(kind, kind) != variable.type:
+            raise archive.error(
+                f"{what}: the connector '{variable.name}' is of type {kind}, the variable of the "
+                f"FMU of type {variable.type}; give the FMU's"
+            )
+        unit = typed[0].get("unit", "")
+        if unit and variable.unit and unit != variable.unit:
+            raise archive.error(
+                f"{what}: the connector '{variable.name}' is in '{unit}', the variable of the FMU "
+                f"in '{variable.unit}'; give the FMU's"
+            )
 
 
 def _surroundings(
@@ -194,6 +218,8 @@ def _connections(
         what = "connection '{}.{} -> {}.{}'".format(*ends[0], *ends[1])
         if any(child.tag in _TRANSFORMATIONS for child in connection):
             raise archive.error(f"{what}: a transformation; put it into an FMU")
+        if connection.get("suppressUnitConversion", "false") in ("true", "1"):
+            raise archive.error(f"{what}: suppressUnitConversion; units are always converted here")
         for end in ends:
             if end not in kinds:
                 known = [".".join(connector) for connector in kinds]
