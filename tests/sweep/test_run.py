@@ -52,6 +52,8 @@ def test_rows_and_trajectories(tmp_path: Path) -> None:
         "wall_time",
         "warnings",
         "worst_margin",
+        "coupling",
+        "coupling_why",
         "trust.error",
         "trust.verdict",
         "trust.line",
