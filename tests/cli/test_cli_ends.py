@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from congelation.results.results import open_results
-from tests.cosim.c_fmus import plain_fmu
+from tests.cosim.c_fmus import SOURCES, plain_fmu
 from tests.scenarios import FMUS, ROOT, SCALAR, write
 from tests.studies import COMMAND, environment, process
 from tests.studies import command as congelation
@@ -227,3 +227,76 @@ def test_steps_that_collapse_are_told_while_the_run_goes_on(tmp_path: Path, form
     (row,) = open_results(tmp_path / "few").runs.rows()
     assert row["status"] == "TOO_MANY_STEPS"
     assert "the steps are" not in ended.stderr
+
+
+ONE = """
+title = "One decay"
+open = ["a.u1", "a.u2"]
+connections = []
+components.a = {{fmu = "{fmu}", start = {{a = -1.0, x0 = 2.0, {setting}}}}}
+
+[experiment]
+stop_time = 1.0
+step = 0.125
+coupling = "jacobi"
+record = ["a.y"]
+
+[metrics]
+peak_y = {{metric = "peak", of = "a.y"}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("setting", "status", "last"),
+    [("ends = 0.6", "TERMINATED", 0.5), ("fault = 9", "COMPLETED", 1.0)],
+)
+def test_the_row_of_a_run_outlives_how_its_fmu_ends(
+    tmp_path: Path, setting: str, status: str, last: float
+) -> None:
+    """It ends the run before the stop time, or crashes in fmi2Terminate after it."""
+    file, out = tmp_path / "one.toml", tmp_path / "out"
+    file.write_text(ONE.format(fmu=plain_fmu(tmp_path), setting=setting))
+    done = congelation("run", file, "--out", out)
+    results = open_results(out)
+    (found,) = results.runs
+    assert (done.returncode, found.status) == (0, status), done.stderr
+    assert found.metrics["peak_y"] == 2.0
+    trajectory = results.trajectory(found.run_id)
+    assert trajectory.time[-1] == last
+
+
+def test_warnings_of_an_fmu_are_counted_and_kept(tmp_path: Path) -> None:
+    """One at each of the four steps past t = 0.5."""
+    file, out, log = tmp_path / "one.toml", tmp_path / "out", tmp_path / "log.txt"
+    file.write_text(ONE.format(fmu=plain_fmu(tmp_path), setting="fault = 10"))
+    done = congelation("run", file, "--out", out, "--fmu-log", log)
+    assert done.returncode == 0, done.stderr
+    (found,) = open_results(out).runs
+    assert (found.status, found.warnings) == ("COMPLETED", 4)
+    assert log.read_text().count("is large") == 4
+
+
+MARKS = """
+#include "{plain}"
+__attribute__((constructor)) static void loaded(void) {{ fclose(fopen("{mark}", "w")); }}
+"""
+
+
+def test_what_is_only_described_is_not_loaded(tmp_path: Path) -> None:
+    """An FMU whose library writes a file as soon as it is loaded."""
+    mark = tmp_path / "loaded"
+    source = tmp_path / "plain.c"
+    source.write_text(MARKS.format(plain=SOURCES / "plain.c", mark=mark))
+    fmu = plain_fmu(tmp_path, source=source)
+    file = tmp_path / "one.toml"
+    file.write_text(ONE.format(fmu=fmu, setting="ends = 0"))
+    for arguments in (
+        ("info", fmu),
+        ("check", fmu, "--static"),
+        ("export-ssp", file, tmp_path / "one.ssp"),
+    ):
+        done = congelation(*arguments)
+        assert done.returncode in (0, 1), done.stderr
+        assert not mark.exists(), arguments
+    assert congelation("run", file, "--out", tmp_path / "out").returncode == 0
+    assert mark.exists()

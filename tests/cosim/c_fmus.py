@@ -9,12 +9,23 @@ import fmpy
 SOURCES = Path(__file__).parent / "fmus"
 
 
-def compile_fmu(path: Path, source: str, description: str) -> Path:
-    """An FMU at `path` of one of the C sources in fmus/ and a model description."""
+def compile_fmu(path: Path, source: str | Path, description: str) -> Path:
+    """An FMU at `path` of a C source, in fmus/ if nothing else is said, and a model description."""
     library = path.with_suffix(".so")
     headers = Path(fmpy.__file__).parent / "c-code"
     subprocess.run(
-        ["gcc", "-shared", "-fPIC", "-O2", f"-I{headers}", SOURCES / source, "-lm", "-o", library],
+        [
+            "gcc",
+            "-shared",
+            "-fPIC",
+            "-O2",
+            f"-I{headers}",
+            f"-I{SOURCES}",
+            SOURCES / source,
+            "-lm",
+            "-o",
+            library,
+        ],
         check=True,
     )
     identifier = Path(source).stem
@@ -24,10 +35,11 @@ def compile_fmu(path: Path, source: str, description: str) -> Path:
     return path
 
 
-def plain_fmu(folder: Path, *, declares: bool = False) -> Path:
+def plain_fmu(folder: Path, *, declares: bool = False, source: str | Path = "plain.c") -> Path:
     """x' = a x + b1 u1 + b2 u2, y = x + d1 u1 + d2 u2, with held inputs and without derivatives.
 
-    `declares`: whether it says that y follows from no input at once (d1 = d2 = 0).
+    `declares`: whether it says that y follows from no input at once (d1 = d2 = 0). `source`: a file
+    that includes plain.c, under the name plain.c as well.
     """
     causalities = {"u1": "input", "u2": "input", "y": "output"}
     names = ("u1", "u2", "y", "a", "b1", "b2", "d1", "d2", "x0", "grain", "ends", "fault")
@@ -45,7 +57,7 @@ def plain_fmu(folder: Path, *, declares: bool = False) -> Path:
     known = ' dependencies=""' if declares else ""
     return compile_fmu(
         folder / f"plain_{declares}.fmu",
-        "plain.c",
+        source,
         '<?xml version="1.0" encoding="UTF-8"?>'
         '<fmiModelDescription fmiVersion="2.0" modelName="plain" guid="{2}">'
         '<CoSimulation modelIdentifier="plain" canHandleVariableCommunicationStepSize="true"'

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -10,8 +11,8 @@ from congelation.scenario.load import load_scenario
 from congelation.sweep.engine import run
 from congelation.sweep.plan import plan_study
 from congelation.verify.reference import LARGEST_DEVIATION
-from tests.scenarios import ROOT
-from tests.studies import done
+from tests.scenarios import ROOT, write
+from tests.studies import command, done
 
 
 @pytest.mark.slow
@@ -49,6 +50,31 @@ def test_the_studies_are_as_large_as_they_say(tmp_path: Path, name: str, runs: i
     scenario = load_scenario(ROOT / "scenarios" / f"study_{name}.toml")
     plan = plan_study(scenario, tmp_path, swept=True, write=False)
     assert plan.total == len(plan.missing) == runs
+
+
+@pytest.mark.slow
+def test_the_printed_command_of_the_study_of_rates_answers_it(tmp_path: Path) -> None:
+    """Shortened to two rates and an amplitude: a line per rate and controller, nothing pooled."""
+    text = (ROOT / "scenarios" / "study_rate.toml").read_text(encoding="utf-8")
+    (printed,) = (
+        line.removeprefix("#").split() for line in text.splitlines() if "congelation report" in line
+    )
+    arguments = [word.strip('"') for word in printed[1:]]
+    changes = (
+        ("stop_time = 12.0", "stop_time = 0.1"),
+        ("values = [0.01, 0.1, 1.0, 10.0, 100.0, 1000.0]", "values = [1.0, 100.0]"),
+        ("values = [0.25, 0.5, 1.0, 2.0]", "values = [1.0]"),
+        ("trajectories = true", "trajectories = false"),
+    )
+    file, out = write(tmp_path, text, *changes), tmp_path / "out"
+    assert command("sweep", file, "--out", out).returncode == 0
+    arguments[arguments.index("results/study_rate")] = str(out)
+    header, *lines = command(*arguments).stdout.splitlines()
+    assert header.split()[:4] == ["plant.profile[1].sine[1].omega,", "variant", "runs", "completed"]
+    groups = [(rate, f"Controller {k}") for rate in ("1", "100") for k in (1, 2)]
+    assert [tuple(re.split(r", |  +", line)[:4]) for line in lines] == [
+        (*group, "1", "1") for group in groups
+    ]
 
 
 @pytest.mark.slow

@@ -434,6 +434,32 @@ def test_a_unit_has_to_be_of_the_kind_of_the_fmus(archive: Path) -> None:
         read_ssp(in_unit("kg"))
 
 
+@pytest.mark.parametrize(
+    ("unit", "message"),
+    [
+        ("s", None),
+        (
+            "min",
+            r"component 'plant': the connector '.*period' is in 'min', .* in 's'; give the FMU",
+        ),
+        ("kg", r"component 'plant': the connector '.*period' is in 'kg', .* in 's'; give the FMU"),
+    ],
+)
+def test_a_connector_of_another_unit_is_refused(
+    archive: Path, unit: str, message: str | None
+) -> None:
+    connector = (
+        '<ssd:Connector name="profile[1].square[1].period" kind="parameter">'
+        f'<ssc:Real unit="{unit}"/></ssd:Connector>'
+    )
+    file = changed(archive, SSD, ("<ssd:Connectors>", "<ssd:Connectors>" + connector))
+    if message is None:
+        assert start(read_ssp(file), "plant") == start(read_ssp(archive), "plant")
+        return
+    with pytest.raises(InvalidInput, match=message):
+        read_ssp(file)
+
+
 CONNECTION = 'startElement="plant" startConnector="x" endElement="controller" endConnector="x"/>'
 COMPONENT = 'source="resources/ScalarPlant.fmu"'
 BINDING = '<ssd:ParameterBinding source="resources/plant.ssv"'

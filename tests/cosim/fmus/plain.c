@@ -1,7 +1,8 @@
 /* x' = a x + b1 u1 + b2 u2, y = x + d1 u1 + d2 u2: an FMU as most tools write them. It can save its
    state, holds its inputs over a step, which it solves exactly, and knows no derivatives. With
    `grain` its outputs are rounded to multiples of that, as an inaccurate solver inside would do; at the
-   time `ends` it ends the run. A step past t = 0.5 goes wrong in the way that `fault` says. */
+   time `ends` it ends the run. A step past t = 0.5, or the end, goes wrong in the way that `fault`
+   says. */
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -14,10 +15,12 @@
 #include "fmi2Functions.h"
 
 enum { U1, U2, Y, A, B1, B2, D1, D2, X0, GRAIN, ENDS, FAULT, COUNT };
-enum { NONE, CRASHES, ABORTS, EXITS, HANGS, HANGS_WITH_LOCK, NOT_A_NUMBER, DISCARDS, REFUSES };
+enum { NONE, CRASHES, ABORTS, EXITS, HANGS, HANGS_WITH_LOCK, NOT_A_NUMBER, DISCARDS, REFUSES,
+       CRASHES_AT_THE_END, WARNS };
 
 typedef struct {
     double v[COUNT], x;
+    const fmi2CallbackFunctions *callbacks;
 } Model;
 
 const char *fmi2GetTypesPlatform(void) { return "default"; }
@@ -26,7 +29,9 @@ const char *fmi2GetVersion(void) { return "2.0"; }
 fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, fmi2String where,
                               const fmi2CallbackFunctions *f, fmi2Boolean visible,
                               fmi2Boolean logging) {
-    return calloc(1, sizeof(Model));
+    Model *m = calloc(1, sizeof(Model));
+    m->callbacks = f;
+    return m;
 }
 
 void fmi2FreeInstance(fmi2Component c) { free(c); }
@@ -68,7 +73,10 @@ static void fail(Model *m) {
         lock();
         /* fall through */
     case HANGS: for (;;) pause();
-    case NOT_A_NUMBER: m->x = NAN;
+    case NOT_A_NUMBER: m->x = NAN; break;
+    case WARNS:
+        m->callbacks->logger(m->callbacks->componentEnvironment, "plain", fmi2Warning,
+                             "logStatusWarning", "x = %g is large", m->x);
     }
 }
 
@@ -111,13 +119,16 @@ static void note(const char *letter) {
 }
 
 fmi2Status fmi2Terminate(fmi2Component c) {
+    volatile int *volatile nowhere = NULL;
     note("T");
+    if ((int)((Model *)c)->v[FAULT] == CRASHES_AT_THE_END) *nowhere = 1;
     return fmi2OK;
 }
 
 fmi2Status fmi2Reset(fmi2Component c) {
+    Model *m = c;
     note("R");
-    memset(c, 0, sizeof(Model));
+    *m = (Model){.callbacks = m->callbacks};
     return fmi2OK;
 }
 
