@@ -457,7 +457,7 @@ SYSTEMS = (
     ),
     Mutation(
         "coupling",
-        _to('"derivative"', lambda r: f'"{word(r)}"'),
+        _to('"auto"', lambda r: f'"{word(r)}"'),
         2,
         r"experiment\.coupling = '\w+' is not known",
     ),
