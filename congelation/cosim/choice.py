@@ -107,14 +107,14 @@ class Lack(NamedTuple):
 
 @dataclass(frozen=True)
 class Choice:
-    """What a run is to do whose coupling was left open.
+    """The coupling that was chosen for a run, and what is known of its FMUs.
 
     Parameters
     ----------
     experiment : Experiment
         With the coupling that was found.
     lacks : tuple of Lack
-        Which FMUs are to be taken as if they had not declared something.
+        Abilities that FMUs declare and that the run does not use.
     line : str
         Which coupling, and why.
     passes, calls : int
@@ -127,8 +127,8 @@ class Choice:
     passes: int
     calls: int
 
-    def told(self, result: Result) -> Result:
-        """The result of the run, with the trial counted and the reason given."""
+    def added_to(self, result: Result) -> Result:
+        """The result of the run, with the trial's passes and calls and the reason of the choice."""
         spent = replace(
             result.statistics,
             iterations=result.statistics.iterations + self.passes,

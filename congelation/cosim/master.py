@@ -164,7 +164,7 @@ def perform(
     """
     if isinstance(experiment.chosen_coupling, Auto):
         choice = chosen(system, experiment, pool)
-        return choice.told(
+        return choice.added_to(
             perform(
                 system,
                 choice.experiment,

@@ -27,10 +27,10 @@ LOOK_PERIOD = 2.0
 """Seconds over which the pace of a run is measured."""
 
 COLLAPSED = 1e5
-"""Steps that the rest of a run takes where its steps have collapsed."""
+"""Remaining steps above which the steps of a run count as collapsed."""
 
-PATIENCE = 30.0
-"""Seconds that the rest may take before anything is said."""
+LONG = 30.0
+"""Remaining time, in seconds, above which collapsed steps are reported."""
 
 UNITS_BEFORE = 8.0
 """Units in the last place between a jump and the point that counts as before it."""
@@ -38,13 +38,15 @@ UNITS_BEFORE = 8.0
 
 @dataclass
 class Notice:
-    """What the run under way in this process has to say of its steps: `line`, until whoever listens
-    to its progress takes it."""
+    """A message about the steps of the current run of this process.
+
+    `line` is empty if there is none; the process that reports progress takes it by `taken`.
+    """
 
     line: str = ""
 
     def taken(self) -> str:
-        """The line, which is then empty."""
+        """Return the line and empty it."""
         line, self.line = self.line, ""
         return line
 
@@ -250,14 +252,14 @@ class Session:
             self.report((time - self.start) / (self.stop - self.start))
 
     def _look(self, now: float) -> None:
-        """Say, once, that the steps have become so short that the rest takes long."""
+        """Leave a notice, once per run, if the steps are so short that the rest takes long."""
         before, steps, time = self._looked
         self._looked = now, self.steps, self._time
         self._next_look = now + LOOK_PERIOD
         length = (self._time - time) / max(self.steps - steps, 1)
         left = (self.stop - self._time) / max(length, math.ulp(self._time), math.ulp(0.0))
         seconds = left * (now - before) / max(self.steps - steps, 1)
-        if left > COLLAPSED and seconds > PATIENCE:
+        if left > COLLAPSED and seconds > LONG:
             duration = f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.3g} min"
             NOTICE.line = (
                 f"at t = {self._time:.6g} of {self.stop:.6g} s the steps are {length:.2g} s long: "

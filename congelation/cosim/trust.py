@@ -202,7 +202,7 @@ def trusted(
     if isinstance(experiment.chosen_coupling, Auto):
         # Once, so that all runs have the same one.
         choice = chosen(system, experiment, pool)
-        return choice.told(
+        return choice.added_to(
             trusted(
                 perform,
                 system,

@@ -144,7 +144,7 @@ def _names_in(node: ast.AST) -> list[str]:
 
 
 class _Renamed(ast.NodeTransformer):
-    """Puts other names in the place of those of settings."""
+    """Replaces the names of settings by other names."""
 
     def __init__(self, names: Mapping[str, str]) -> None:
         self._names = names
