@@ -19,8 +19,8 @@ from typing import Any, ClassVar, cast, final
 from urllib.parse import urlsplit
 
 from congelation.errors import CongelationError, InvalidInput
+from congelation.places import replace_whole
 from congelation.results.record import Outcome
-from congelation.results.store import replace_whole
 from congelation.scenario.scenario import Scenario
 from congelation.sweep.execute import WORKER_DIED, Job, Task
 from congelation.sweep.workers import PERIOD, Event, Local, Lost, Progress, Remark, Workers

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from congelation.errors import DesignWarning, InvalidInput
+from congelation.places import StoreError
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
-from congelation.results.store import StoreError
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
 from congelation.sweep.cluster import Cluster

@@ -40,8 +40,8 @@ from congelation.cosim.pool import SlavePool
 from congelation.cosim.session import NOTICE
 from congelation.errors import CongelationError
 from congelation.fmi.calls import CALLS, NOTE_SIZE, noted_call
+from congelation.places import StoreError
 from congelation.results.record import Outcome
-from congelation.results.store import StoreError
 from congelation.sweep.execute import (
     ERROR,
     TIMED_OUT,
