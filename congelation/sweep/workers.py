@@ -191,7 +191,7 @@ class _Batch:
         """Since when the FMUs of a run that has ended are under way in fmi2Terminate, if so."""
         if self.process is None or self.process.run_under_way[_PLACE] != _TERMINATES:
             return None
-        return self.process.run_under_way[_SINCE]
+        return float(self.process.run_under_way[_SINCE])
 
     @property
     def left(self) -> list[str]:
