@@ -29,13 +29,13 @@ from .telegraph import Telegraph, splitmix64
 from .terms import Chirp, Constant, Sine, Square, Term
 
 __all__ = [
+    "SLOTTED",
     "Chirp",
     "Constant",
     "FlatParameter",
     "Noise",
     "Profile",
     "ProfileError",
-    "SLOTTED",
     "Segment",
     "Sine",
     "Slots",
