@@ -26,10 +26,21 @@ CHUNK = 1024
 KEPT_POINTS = 256
 """Communication points that are kept before rows are made of them."""
 
-DONE, FULL, REFUSED, NOT_FINITE, UNUSUAL, UNSOLVED = range(6)
+(
+    DONE,
+    FULL,
+    REFUSED,
+    NOT_FINITE,
+    UNUSUAL,
+    UNSOLVED,
+    TOO_SMALL,
+    CROSSED,
+    EVENT,
+    TERMINATED,
+) = range(10)
 """Why a call ended; as in loop/structures.h."""
 
-POINT, BEFORE_JUMP, AFTER_JUMP = range(3)
+POINT, BEFORE_JUMP, AFTER_JUMP, VISITED = range(4)
 """What a kept row is of; as in loop/structures.h."""
 
 
@@ -188,7 +199,7 @@ class Compiled:
         loop.most = most
         loop.steps = loop.rejected = loop.events_crossed = loop.floors = 0
         loop.passes = loop.calls = 0
-        self._refusals = [slave.log.refusals for slave in self.ensemble.slaves]
+        self.watch_refusals()
         code = function(ctypes.byref(loop), *arguments)
         if direct is not None:
             direct.recorder.filled(loop.n_rows)
@@ -199,10 +210,14 @@ class Compiled:
             for point, kind in zip(room[: loop.n_rows], self._kinds.tolist(), strict=False):
                 Y[:] = point[1:]
                 for rows in self._rows:
-                    taken = (rows.point, rows.before_jump, rows.after_jump)[kind]
+                    taken = (rows.point, rows.before_jump, rows.after_jump, rows.visit)[kind]
                     taken(float(point[0]))
             Y[:] = now
         return code
+
+    def watch_refusals(self) -> None:
+        """Remember what the FMUs have logged before a call."""
+        self._refusals = [slave.log.refusals for slave in self.ensemble.slaves]
 
     def raise_for(self, code: int, time: float) -> None:
         """Raise what ended a run: what an FMU refused, or a jump at `time` led to.
