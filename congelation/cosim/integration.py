@@ -14,12 +14,11 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.compiled import available, fits
-from congelation.cosim.compiled.base import CROSSED, EVENT, FULL, TERMINATED, TOO_SMALL
+from congelation.cosim.compiled.base import CROSSED, FULL, TOO_SMALL
 from congelation.cosim.compiled.model_exchange import CompiledIntegrator, CompiledRates
 from congelation.cosim.coupling.model_exchange import ModelExchangeStepper, Smooth
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session
-from congelation.fmi.slave import SlaveTerminated
 
 __all__ = ["integrate"]
 
@@ -93,13 +92,11 @@ def _compiled_leg(
     tolerance: float,
     first_step: float | None,
 ) -> tuple[float, bool]:
-    """To the next event or the stop time: where that is, and whether it is an event."""
-    target = min(state.event, session.stop)
-    is_event = state.event <= session.stop
+    """To the stop time, or to an event that is not announced: where that is, and which it is."""
     compiled.restart(state, first_step)
     code = FULL
     while code == FULL:
-        code, time = compiled.integrate(time, target, is_event, session.most)
+        code, time = compiled.integrate(time, session.most)
         session.took(compiled.loop)
         session.largest_error = max(session.largest_error, compiled.error * tolerance)
     if code == CROSSED:
@@ -107,11 +104,8 @@ def _compiled_leg(
         return _at_change(session, state, compiled.started, end, lambda t: compiled.within(end, t))
     if code == TOO_SMALL:
         raise _too_small(time, compiled.length)
-    if code == TERMINATED:
-        slave = session.ensemble.slaves[compiled.rates.fields.ended]
-        raise SlaveTerminated(f"{slave.name} at t = {time:.9g} ended the run")
     compiled.ended(code, time)
-    return time, code == EVENT or is_event
+    return time, False
 
 
 def _by_solver(
@@ -122,7 +116,7 @@ def _by_solver(
     tolerance: float,
     first_step: float | None,
 ) -> tuple[float, bool]:
-    """The same by a solver of SciPy."""
+    """To the next event or the stop time by a solver of SciPy: where that is, and which it is."""
     from scipy import integrate
 
     stepper, ensemble = session.stepper, session.ensemble

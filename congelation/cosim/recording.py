@@ -6,6 +6,7 @@ Rows        takes the communication points of a run and records rows: EveryStep,
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -200,9 +201,12 @@ class Rows(ABC):
     ----------
     columns : Columns
         What is recorded.
+    near : float
+        A communication point this near to a time at which a row is asked for is taken for it.
     """
 
     columns: Columns
+    near: float = math.inf
 
     @abstractmethod
     def start(self, time: float) -> None:
@@ -302,12 +306,12 @@ class VisitedGrid(Rows):
         self.columns = columns
         self._recorder = recorder
         self._interval = interval
-        self._near = GRID_ROUNDING * interval
+        self.near = GRID_ROUNDING * interval
         self._first = self._last = 0.0
         self._count = 0
 
     def due(self, until: float, most: int) -> list[float]:
-        end = until - self._near
+        end = until - self.near
         places = (self._first + k * self._interval for k in range(self._count, self._count + most))
         return list(takewhile(lambda place: place < end, places))
 
@@ -317,7 +321,7 @@ class VisitedGrid(Rows):
 
     def visit(self, time: float) -> None:
         place = self._first + self._count * self._interval
-        if place <= time + self._near:
+        if place <= time + self.near:
             self._record(place)
             self._count += 1
 
@@ -331,7 +335,7 @@ class VisitedGrid(Rows):
         self.visit(time)
 
     def finish(self, time: float, *, completed: bool) -> None:
-        if time - self._last > self._near:
+        if time - self._last > self.near:
             self._record(time)
 
     def _record(self, time: float) -> None:

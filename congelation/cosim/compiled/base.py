@@ -35,9 +35,10 @@ KEPT_POINTS = 256
     UNSOLVED,
     TOO_SMALL,
     CROSSED,
-    EVENT,
     TERMINATED,
-) = range(10)
+    UNSETTLED,
+    LATE,
+) = range(11)
 """Why a call ended; as in loop/structures.h."""
 
 POINT, BEFORE_JUMP, AFTER_JUMP, VISITED = range(4)
@@ -146,7 +147,7 @@ class Compiled:
             get_note=slave.note("fmi2GetFMUstate")[1],
             free_note=slave.note("fmi2FreeFMUstate")[1],
             set_note=slave.note("fmi2SetFMUstate")[1],
-            step=slave.address("fmi2DoStep"),
+            step=None if slave.exchange else slave.address("fmi2DoStep"),
             get_state=slave.address("fmi2GetFMUstate"),
             free_state=slave.address("fmi2FreeFMUstate"),
             set_state=slave.address("fmi2SetFMUstate"),

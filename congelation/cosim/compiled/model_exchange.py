@@ -8,9 +8,22 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.compiled.base import REFUSED, UNSOLVED, Compiled
+from congelation.cosim.compiled.base import (
+    LATE,
+    REFUSED,
+    TERMINATED,
+    UNSETTLED,
+    UNSOLVED,
+    Compiled,
+)
 from congelation.cosim.compiled.structures import Integrator, Part
-from congelation.cosim.coupling.model_exchange import ModelExchangeStepper, Smooth
+from congelation.cosim.coupling.model_exchange import (
+    ModelExchangeStepper,
+    Smooth,
+    ended_by,
+    late,
+    unsettled,
+)
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.recording import Rows
@@ -68,11 +81,17 @@ class CompiledRates:
             get_rates=slave.address("fmi2GetDerivatives"),
             get_indicators=slave.address("fmi2GetEventIndicators"),
             completed=slave.address(completed) if equations.completes else None,
+            enter_event=slave.address("fmi2EnterEventMode"),
+            enter_continuous=slave.address("fmi2EnterContinuousTimeMode"),
+            new_states=slave.address("fmi2NewDiscreteStates"),
+            get_states=slave.address("fmi2GetContinuousStates"),
+            get_nominals=slave.address("fmi2GetNominalsOfContinuousStates"),
             time_note=note("fmi2SetTime"),
             states_note=note("fmi2SetContinuousStates"),
             rates_note=note("fmi2GetDerivatives"),
             indicators_note=note("fmi2GetEventIndicators"),
             completed_note=note(completed),
+            event_note=note("fmi2NewDiscreteStates"),
             n_states=equations.states,
             n_indicators=equations.indicators,
             first=self.stepper.parts[m].start,
@@ -132,6 +151,8 @@ class CompiledIntegrator(Compiled):
         n = len(stepper.nominal)
         fields = self.rates.fields
         fields.tolerance = tolerance
+        fields.Y_before, fields.n_Y = self._address(np.zeros(len(ensemble.Y))), len(ensemble.Y)
+        fields.leaves = stepper.leaves
         fields.nominal = self._address(stepper.nominal)
         for name, table in (
             ("A", DOP853.A),
@@ -168,25 +189,26 @@ class CompiledIntegrator(Compiled):
         fields = self.rates.fields
         self.rates.follow(state)
         self._x[:] = state.x
-        fields.step = first_step or 0.0
-        fields.restarts, fields.reached, fields.displaced, fields.largest = 1, 0, 0, 0.0
+        fields.step, fields.event = first_step or 0.0, state.event
+        fields.restarts, fields.reached, fields.displaced, fields.in_event = 1, 0, 0, 0
+        fields.largest = 0.0
 
-    def integrate(self, time: float, target: float, is_event: bool, most: int) -> tuple[int, float]:
-        """Go on towards `target`, which is an event or the stop time, for at most `most` steps.
+    def integrate(self, time: float, most: int) -> tuple[int, float]:
+        """Go on towards the stop time, for at most `most` steps.
 
         Returns
         -------
         code : int
-            DONE at the target, whose row is made where it is no event; FULL; or why it ended: of
-            CROSSED and EVENT, the last step ends at the time returned.
+            DONE; FULL; or why it ended: of CROSSED, the last step ends at the time returned.
         time : float
         """
         fields = self.rates.fields
-        due = [rows.due(target, VISITS) for rows in self._rows]
+        due = [rows.due(self.loop.stop, VISITS) for rows in self._rows]
         until = min((times[-1] for times in due if len(times) == VISITS), default=np.inf)
         self._visits = np.array(sorted({t for times in due for t in times if t <= until}))
         fields.visits, fields.n_visits = self._visits.ctypes.data, len(self._visits)
         fields.visited, fields.more = 0, until < np.inf
+        fields.near = min((rows.near for rows in self._rows), default=np.inf)
         now = ctypes.c_double(time)
         self.rates.driven.loop.function = None
         self.rates.driven.watch_refusals()
@@ -195,8 +217,6 @@ class CompiledIntegrator(Compiled):
             most,
             ctypes.byref(fields),
             ctypes.byref(now),
-            ctypes.c_double(target),
-            ctypes.c_int(is_event),
         )
         self.rates.count()
         return code, now.value
@@ -217,14 +237,21 @@ class CompiledIntegrator(Compiled):
         return float(self.rates.fields.step)
 
     def ended(self, code: int, time: float) -> None:
-        """Raise what ended a run, in an evaluation of f or where rows were read.
+        """Raise what ended a run: in an evaluation of f, at an event, or where rows were read.
 
         Raises
         ------
         SlaveError, SlaveTerminated, RunEnded
         """
-        driven = self.rates.driven
-        if code == UNSOLVED or (code == REFUSED and driven.loop.function):
+        driven, fields = self.rates.driven, self.rates.fields
+        slave = self.ensemble.slaves[fields.ended]
+        if code == TERMINATED:
+            raise ended_by(slave, time)
+        if code == LATE:
+            raise late(slave, time, float(fields.event))
+        if code == UNSETTLED:
+            raise unsettled(time)
+        if (code == UNSOLVED and not fields.in_event) or (code == REFUSED and driven.loop.function):
             driven.raise_for(code, time)
         self.raise_for(code, time)
 

@@ -1,5 +1,5 @@
-/* All states of a system integrated as one differential equation, by FMI 2.0 model exchange. Between two
-   events this goes without returning to Python, which makes events and says what ends a run. */
+/* All states of a system integrated as one differential equation, by FMI 2.0 model exchange; as
+   coupling/model_exchange.py and integration.py. */
 
 #include "dop853.c"
 
@@ -85,10 +85,11 @@ static int read_point(Loop *loop) {
 }
 
 /* Rows of the last step, which ended at `time`: at times asked for within it, and at its end. */
-static int reach(Loop *loop, Integrator *in, double time, int is_event, int *full) {
+static int reach(Loop *loop, Integrator *in, double time, int *is_event, int *full) {
     int code;
-    for (; in->visited < in->n_visits && in->visits[in->visited] < time; in->visited++) {
+    for (; in->visited < in->n_visits && in->visits[in->visited] <= time + in->near; in->visited++) {
         const double at = in->visits[in->visited];
+        if (at >= time - in->near) continue;  /* the end of the step is taken for it */
         if (!has_room(loop)) return FULL;
         in->displaced = 1;
         if ((code = states_within(in, time, at, in->x_new))) return code;
@@ -115,32 +116,108 @@ static int reach(Loop *loop, Integrator *in, double time, int is_event, int *ful
     }
     in->reached = 0;
     if ((code = read_point(loop))) return code;
-    if (!ends && (asks || is_event)) return asks ? EVENT : DONE;
+    *is_event |= asks;
+    if (!ends && *is_event) return DONE;
     record(loop, time, POINT);
     *full = counted(loop, time);
     return ends ? TERMINATED : DONE;
 }
 
-/* From *time to `target` or to what happens before: an event (at `target` itself where `is_event`), or
-   an indicator that has changed its sign within the last step, which Python then looks into. */
-EXPORT int run_dop853(Loop *loop, Integrator *in, double *time, double target, int is_event) {
+/* Whether all that was read is as it was, up to what solutions of algebraic loops leave. */
+static int settled(const Loop *loop, const Integrator *in) {
+    for (ptrdiff_t k = 0; k < in->n_Y; k++) {
+        const double before = in->Y_before[k], now = loop->Y[k];
+        if (before != now && !(fabs(now - before) <= in->leaves * (1.0 + fabs(now)))) return 0;
+    }
+    return 1;
+}
+
+/* ModelExchangeStepper.start: through event mode, until no FMU has anything more to change. */
+static int make_event(Loop *loop, Integrator *in, double time) {
+    int again = 1, code;
+    loop->calls += 3 * loop->n_slaves;
+    for (int m = 0; m < loop->n_slaves; m++) {
+        const Part *part = &in->parts[loop->which = m];
+        *loop->slaves[m].note = part->event_note;
+        const int status = part->enter_event(loop->slaves[m].component);
+        if (status > WARNING) return refused(loop, status, "fmi2EnterEventMode");
+    }
+    for (int count = 0; again; count++) {
+        if (count == MOST_ITERATIONS) return UNSETTLED;
+        memcpy(in->Y_before, loop->Y, (size_t)in->n_Y * sizeof(double));
+        again = 0;
+        in->event = INFINITY;
+        for (int m = 0; m < loop->n_slaves; m++) {
+            DiscreteStates said = {0, 0, 0, 0, 0, 0.0};
+            *loop->slaves[m].note = in->parts[loop->which = m].event_note;
+            const int status = in->parts[m].new_states(loop->slaves[m].component, &said);
+            if (status > WARNING) return refused(loop, status, "fmi2NewDiscreteStates");
+            in->ended = m;
+            if (said.ends) return TERMINATED;
+            again |= said.again;
+            if (!said.has_event) continue;
+            if (said.event < in->event) in->event = said.event;
+            if (said.event <= time) return LATE;
+        }
+        if ((code = run_exchange(loop))) return code;
+        again |= !settled(loop, in);
+    }
+    for (int m = 0; m < loop->n_slaves; m++) {
+        const Part *part = &in->parts[loop->which = m];
+        void *component = loop->slaves[m].component;
+        *loop->slaves[m].note = part->event_note;
+        int status = part->enter_continuous(component);
+        if (status > WARNING) return refused(loop, status, "fmi2EnterContinuousTimeMode");
+        if (part->n_states) {
+            double *nominal = in->nominal + part->first;
+            status = part->get_states(component, in->x + part->first, part->n_states);
+            if (status > WARNING) return refused(loop, status, "fmi2GetContinuousStates");
+            status = part->get_nominals(component, nominal, part->n_states);
+            if (status > WARNING) return refused(loop, status, "fmi2GetNominalsOfContinuousStates");
+            for (size_t k = 0; k < part->n_states; k++)
+                nominal[k] = nominal[k] == 0.0 ? 1.0 : fabs(nominal[k]);
+        }
+        if (part->n_indicators) {
+            status = part->get_indicators(component, in->indicators, part->n_indicators);
+            if (status > WARNING) return refused(loop, status, "fmi2GetEventIndicators");
+            for (size_t k = 0; k < part->n_indicators; k++)
+                part->positive[k] = in->indicators[k] > 0.0;
+        }
+    }
+    return read_point(loop);
+}
+
+/* From *time to the stop time or to what happens before: an indicator that has changed its sign within
+   the last step, which Python then looks into. */
+EXPORT int run_dop853(Loop *loop, Integrator *in, double *time) {
     int full = 0;
     in->rejected = 0;
     in->drive->passes = in->drive->calls = 0;
-    for (;;) {
+    while (in->reached || *time < loop->stop) {
+        const double target = in->event < loop->stop ? in->event : loop->stop;
         int code = DONE;
+        if (full) return FULL;
         if (!in->reached) {
-            if (*time >= target) return DONE;
-            if (full) return FULL;
-            const long rejected = in->rejected;
             code = advance(in, time, target);
-            loop->rejected += in->rejected - rejected;
+            loop->rejected += in->rejected;
+            in->rejected = 0;
             if (code) return code;
             in->reached = 1;
             if (crossed(in, &code)) return CROSSED;
             if (code) return code;
         }
-        code = reach(loop, in, *time, is_event && *time >= target, &full);
-        if (code) return code;
+        int is_event = in->event <= loop->stop && *time >= in->event;
+        if ((code = reach(loop, in, *time, &is_event, &full))) return code;
+        if (!is_event) continue;
+        record(loop, *time, BEFORE_JUMP);
+        in->in_event = 1;
+        if ((code = make_event(loop, in, *time))) return code;
+        in->in_event = 0;
+        record(loop, *time, AFTER_JUMP);
+        loop->events_crossed++;
+        full = counted(loop, *time);
+        in->restarts = 1;
+        in->step = 0.0;
     }
+    return DONE;
 }
