@@ -60,7 +60,7 @@ class Job:
     phases : bool
         Whether to measure where the time goes.
     marks : tuple of int
-        Memory is told after so many runs.
+        Memory is printed after so many runs.
     """
 
     points: int
@@ -104,7 +104,7 @@ class Cost:
         Seconds of processor time that everything else on the machine took meanwhile, all of its
         processors together; None where the system does not tell.
     answer : mapping
-        What it told.
+        What it printed.
     """
 
     elapsed: float

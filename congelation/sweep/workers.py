@@ -5,6 +5,10 @@ own, through which it reports the runs that have ended, short ones several at a 
 common with its parent, where it notes the run under way. So one task may hold several short runs, a
 time limit holds for each of them, a row is never lost with its neighbours (what is not reported yet
 is done again), and a process that ends, even by exit(0), is noticed at once by the end of its pipe.
+
+After each run its FMUs are terminated (fmi2Terminate), those of a task's last run once the rows of
+the task have been sent. An FMU that crashes or hangs there costs its process and is told in a line;
+from then on each task is a single run, so that its row is always sent before.
 """
 
 from __future__ import annotations
@@ -36,8 +40,8 @@ from congelation.cosim.pool import SlavePool
 from congelation.cosim.session import NOTICE
 from congelation.errors import CongelationError
 from congelation.fmi.calls import CALLS, NOTE_SIZE, noted_call
+from congelation.places import StoreError
 from congelation.results.record import Outcome
-from congelation.results.store import StoreError
 from congelation.sweep.execute import (
     ERROR,
     TIMED_OUT,
@@ -47,13 +51,16 @@ from congelation.sweep.execute import (
     execute,
 )
 
-__all__ = ["Finished", "Local", "Lost", "Progress", "Unfinished", "Workers"]
+__all__ = ["Finished", "Local", "Lost", "Progress", "Remark", "Unfinished", "Workers"]
 
 TASKS_PER_WORKER = 1000
 """After so many tasks a process is replaced: the FMUs' interpreter leaks a little with each run."""
 
 PERIOD = 0.1
 """Seconds after which new processes and time limits are looked at."""
+
+GRACE = 5.0
+"""Seconds that the FMUs of a run have for fmi2Terminate."""
 
 REPORTED = 0.05
 """Seconds after which a process reports the runs that have ended, and the progress of one."""
@@ -91,11 +98,17 @@ class Progress(NamedTuple):
     notice: str = ""
 
 
-Event = Finished | Lost | Unfinished | Progress
+class Remark(NamedTuple):
+    """What is to be told of the FMUs of a study, in one line."""
+
+    line: str
+
+
+Event = Finished | Lost | Unfinished | Progress | Remark
 
 
 class Workers(ABC):
-    """Where runs are done. Every run that is submitted has one event other than Progress.
+    """Where runs are done. Every run that is submitted has one event: Finished, Lost, Unfinished.
 
     Attributes
     ----------
@@ -137,6 +150,10 @@ class Workers(ABC):
             If workers do not start.
         """
 
+    def finish(self) -> list[Remark]:
+        """Wait for fmi2Terminate of the last runs' FMUs, once every run has its event."""
+        return []
+
     @abstractmethod
     def stop(self) -> None:
         """End the workers, and with them the runs under way."""
@@ -149,7 +166,10 @@ class Workers(ABC):
 
 @dataclass
 class _Batch:
-    """Runs that were submitted together; `ended` of them have been reported."""
+    """Runs that were submitted together; `ended` of them have been reported.
+
+    It is kept until the FMUs of the last of them are terminated.
+    """
 
     tasks: list[Task]
     future: ProcessFuture[None]
@@ -165,6 +185,13 @@ class _Batch:
             return None
         since, place = self.process.run_under_way[_SINCE], int(self.process.run_under_way[_PLACE])
         return self.tasks[place], since
+
+    @property
+    def terminates_since(self) -> float | None:
+        """Since when the FMUs of a run that has ended are under way in fmi2Terminate, if so."""
+        if self.process is None or self.process.run_under_way[_PLACE] != _TERMINATES:
+            return None
+        return float(self.process.run_under_way[_SINCE])
 
     @property
     def left(self) -> list[str]:
@@ -239,6 +266,9 @@ class Local(Workers):
             elif limit is not None and under_way is not None and now - under_way[1] > limit:
                 batch.timed_out = True
                 batch.future.cancel()  # ends the process, whatever it does
+            elif (since := batch.terminates_since) is not None and now - since > GRACE:
+                batch.timed_out = True
+                cast(_Process, batch.process).kill()
         if self._failed_starts > FAILED_STARTS * self.size:
             raise CongelationError(
                 "the worker processes end before they begin a run; what they wrote above says why"
@@ -250,6 +280,12 @@ class Local(Workers):
             self.stop()
             self.start(self._job)
         return found
+
+    def finish(self) -> list[Remark]:
+        found: list[Event] = []
+        while self._batches:
+            found += self.events()
+        return [event for event in found if isinstance(event, Remark)]
 
     def stop(self) -> None:
         with _interrupts_held():
@@ -287,12 +323,14 @@ class Local(Workers):
             return [Progress(*rest)]
         elif kind == "unwritten":
             raise StoreError(rest[0])
-        else:
+        elif kind == "remark":
+            return [Remark(*rest)]
+        elif kind == "end":
             (ended,) = rest
             batch.ended += len(ended)
-            if batch.ended == len(batch.tasks):
-                del self._batches[number], self._doing[pipe]
             return [Finished(*pickle.loads(each)) for each in ended]
+        else:
+            del self._batches[number], self._doing[pipe]
         return []
 
     def _ended(self, pipe: Connection) -> list[Event]:
@@ -305,6 +343,14 @@ class Local(Workers):
             return []
         batch = self._batches[number]
         call = noted_call(process.note)
+        if batch.terminates_since is not None:
+            self.most = 1
+            if batch.timed_out:
+                how = f"did not return within {GRACE:g} s"
+            else:
+                how = f"ended the worker process ({_cause(_exit_code(process))})"
+            line = f"{call} {how}, after the run; no result is lost"
+            return [Remark(line), *map(Unfinished, self._dropped(number))]
         if batch.timed_out:
             message = (
                 f"The run took longer than {self._job.timeout:g} s; see sweep.timeout, --timeout."
@@ -368,6 +414,9 @@ _STARTING = threading.Lock()
 
 _PLACE, _SINCE = 0, 1
 """In what a process notes of the run under way: its place in the batch, and when it began."""
+
+_TERMINATES = -2.0
+"""In place of that: a run has ended, and its FMUs are being terminated."""
 
 
 class _Process(SpawnProcess):
@@ -497,3 +546,9 @@ def _work(number: int, tasks: Sequence[Task]) -> None:
         if place + 1 == len(tasks) or time.monotonic() - reported > REPORTED:
             send(("end", number, ended))
             ended, reported = [], time.monotonic()
+        under_way[_SINCE] = time.monotonic()
+        under_way[_PLACE] = _TERMINATES
+        for line in _Child.pool.terminate():
+            send(("remark", number, line))
+    under_way[_PLACE] = -1.0
+    send(("terminated", number))

@@ -21,7 +21,10 @@ from congelation.sweep.workers import Finished, Local, Lost, Progress, Unfinishe
 from tests.scenarios import write
 from tests.studies import is_alive
 
-HEAVY = ("scipy", "matplotlib", "casadi", "typer", "rich", "congelation.cli")
+PARTS = ("scipy.linalg", "scipy.integrate", "scipy.optimize", "scipy.stats")
+"""SciPy itself loads them by their first use."""
+
+HEAVY = (*PARTS, "matplotlib", "casadi", "typer", "rich", "congelation.cli")
 
 
 def test_a_worker_starts_without_what_it_may_not_need() -> None:
