@@ -14,6 +14,7 @@ from congelation.results.identity import code_version
 from congelation.scenario.metrics import Metric, metric
 from congelation.scenario.parts import MetricSpec
 from congelation.scenario.scenario import Scenario
+from congelation.scenario.settings import profile_prefixes
 
 __all__ = ["about"]
 
@@ -36,6 +37,7 @@ def about(
         "varied": list(varied),
         "axes": [list(names) for names in axes],
         "units": {name: unit for name in varied if (unit := _unit_of_setting(name, descriptions))},
+        "spelled": _spelled(varied, descriptions),
         "metrics": {spec.name: _about_metric(spec, descriptions) for spec in scenario.metrics},
         "figures": [asdict(figure) for figure in scenario.figures],
         "fmus": {
@@ -48,6 +50,21 @@ def about(
         ],
         "versions": _versions(),
     }
+
+
+def _spelled(varied: Sequence[str], descriptions: Mapping[str, Description]) -> dict[str, str]:
+    """How scenarios spell varied numbers of profiles: ``plant.profile[1].sine[1].omega`` is
+    ``plant.profile.theta[1].sine[1].omega`` there."""
+    found = {}
+    for name in varied:
+        owner, _, variable = name.partition(".")
+        if owner not in descriptions:  # the experiment
+            continue
+        for component, prefix in profile_prefixes(descriptions[owner]).items():
+            if variable.startswith(prefix):
+                rest = variable.removeprefix(prefix).replace("mean", "constant")
+                found[name] = f"{owner}.profile.{component}.{rest}"
+    return found
 
 
 def _about_metric(spec: MetricSpec, descriptions: Mapping[str, Description]) -> dict[str, Any]:
