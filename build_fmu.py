@@ -45,6 +45,8 @@ STANDARD = (
     "disturbance2",
     "disturbed",
     "disturbed_output",
+    "wing_rock",
+    "pendulum_length",
 )
 # A delay has no native twin.
 NATIVE = tuple(name for name in STANDARD if name != "delay")
