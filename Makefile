@@ -23,7 +23,7 @@ help:
 	@echo "make lock    resolve the dependencies anew into requirements*.lock"
 	@echo "make clean   remove what was generated"
 
-.venv/installed: pyproject.toml requirements.lock setup.py congelation/cosim/loop.c
+.venv/installed: pyproject.toml requirements.lock setup.py $(wildcard congelation/cosim/loop/*.[ch])
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python >= 3.11 is needed; set PYTHON=..")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/pip install --quiet --disable-pip-version-check --requirement requirements.lock

@@ -28,9 +28,11 @@ class BuildWithShipped(build_py):
 
 # A plain shared library, called through ctypes; without a compiler the loop in Python runs. To have
 # equal bits with that one, each operation is rounded by itself.
+folder = Path("congelation/cosim/loop")
 loop = Extension(
     "congelation.cosim.loop",
-    ["congelation/cosim/loop.c"],
+    [str(folder / "loop.c")],  # which includes the others
+    depends=sorted(str(file) for file in folder.glob("*.[ch]")),
     extra_compile_args=[] if os.name == "nt" else ["-std=c99", "-O2", "-ffp-contract=off"],
     export_symbols=[
         "loop_version",

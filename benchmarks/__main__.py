@@ -37,7 +37,7 @@ class Sweeps:
     short : float
         Their stop time, in seconds.
     marks : tuple of int
-        Memory is told after so many of them.
+        Memory is printed after so many of them.
     held : tuple of (int, int)
         Macro steps and points of the sweeps against fresh FMPy instances.
     """

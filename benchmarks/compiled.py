@@ -30,11 +30,11 @@ def measure(folder: Path) -> str:
     """The table, for the oscillator of two masses."""
     build(folder, ("full",))
     system = problem("two_masses_plain").system(folder, "full")
-    library = compiled.library
+    library = compiled.library.loaded
     found = library()
 
     def seconds(case: str, in_c: bool) -> float:
-        compiled.library = (lambda: found) if in_c else (lambda: None)  # type: ignore[assignment]
+        compiled.library.loaded = (lambda: found) if in_c else (lambda: None)  # type: ignore[assignment]
         watch = Stopwatch()
         result = simulate(system, pool=pool, **CASES[case])
         assert result.completed, result.message
@@ -51,7 +51,7 @@ def measure(folder: Path) -> str:
                 5,
             )
     finally:
-        compiled.library = library
+        compiled.library.loaded = library
     rows = [
         [
             f"`{case}`",

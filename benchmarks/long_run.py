@@ -23,7 +23,7 @@ __all__ = ["LongRun", "long_run_table", "measure"]
 STEP = 1e-4
 """Communication step in seconds, that of scenarios/fig2.toml."""
 MARKS = (0.01, 0.1, 0.25, 0.5, 0.75, 1.0)
-"""Parts of the run after which memory is told."""
+"""Parts of the run after which memory is printed."""
 MEMORY_GOAL = 1.01
 """Memory at the end over that after the first mark."""
 

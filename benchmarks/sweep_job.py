@@ -24,8 +24,8 @@ from congelation.scenario.axes import RandomAxis, Sweep
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
 from congelation.sweep.engine import Tally, carry_out
+from congelation.sweep.local import Local
 from congelation.sweep.plan import plan_study
-from congelation.sweep.workers import Local
 
 __all__ = ["FRESH", "SWEEP", "Cost", "Job", "do", "elsewhere", "measured", "resident"]
 
@@ -60,7 +60,7 @@ class Job:
     phases : bool
         Whether to measure where the time goes.
     marks : tuple of int
-        Memory is told after so many runs.
+        Memory is printed after so many runs.
     """
 
     points: int
@@ -104,7 +104,7 @@ class Cost:
         Seconds of processor time that everything else on the machine took meanwhile, all of its
         processors together; None where the system does not tell.
     answer : mapping
-        What it told.
+        What it printed.
     """
 
     elapsed: float

@@ -23,7 +23,7 @@ __all__ = ["EngineError", "Worker", "workers"]
 Floats = npt.NDArray[np.float64]
 
 ROOT = Path(__file__).absolute().parent.parent
-PATIENCE = 600.0
+LONGEST_ANSWER = 600.0
 """Seconds after which an engine that does not answer counts as failed."""
 
 
@@ -87,9 +87,9 @@ class Worker:
             process.stdin.flush()
         except BrokenPipeError:
             raise EngineError(f"{self.engine}: {self._last_words()}") from None
-        ready, _, _ = select.select([process.stdout], [], [], PATIENCE)
+        ready, _, _ = select.select([process.stdout], [], [], LONGEST_ANSWER)
         if not ready:
-            raise EngineError(f"{self.engine}: no answer within {PATIENCE:g} s")
+            raise EngineError(f"{self.engine}: no answer within {LONGEST_ANSWER:g} s")
         text = process.stdout.readline()
         if not text:
             raise EngineError(f"{self.engine}: {self._last_words()}")

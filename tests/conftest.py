@@ -1,7 +1,7 @@
 """Settings shared by all tests.
 
-Property-based tests draw the same examples in every run of `make test`, and fresh ones, more of
-them, in `make fuzz`, which runs the tests marked ``fuzz``. Such a test sets no number of examples.
+Property-based tests draw the same 40 examples in every run of `make test`, and 1,000 fresh ones in
+`make fuzz`, which runs the tests marked ``fuzz``. Such a test sets no number of examples.
 """
 
 import os
@@ -18,7 +18,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # that interrupt a command need it as it is in a foreground.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
-settings.register_profile("repeatable", derandomize=True, deadline=None, print_blob=True)
+settings.register_profile(
+    "repeatable", max_examples=40, derandomize=True, deadline=None, print_blob=True
+)
 settings.register_profile("fuzz", max_examples=1000, deadline=None, print_blob=True)
 settings.load_profile("repeatable")  # --hypothesis-profile=fuzz takes its place
 

@@ -90,9 +90,9 @@ def test_the_schemas_admit_what_is_shipped(file: Path) -> None:
 def test_the_schema_refuses_what_the_loader_refuses(old: str, new: str, message: str) -> None:
     assert old in SCALAR
     document = tomllib.loads(SCALAR.replace(old, new))
-    with pytest.raises(jsonschema.ValidationError) as told:
+    with pytest.raises(jsonschema.ValidationError) as refused:
         jsonschema.validate(document, schema("scenario"))
-    assert message in told.value.message
+    assert message in refused.value.message
 
 
 def test_a_schema_tells_units_defaults_and_ranges() -> None:

@@ -95,10 +95,10 @@ def test_values_are_read(document: Section) -> None:
 def test_mistakes_are_told_with_their_place(
     document: Section, read: Callable[[Section], object], message: str
 ) -> None:
-    with pytest.raises(InvalidInput) as told:
+    with pytest.raises(InvalidInput) as refused:
         read(document)
-    assert str(told.value).startswith(message)
-    assert "\n" not in str(told.value)
+    assert str(refused.value).startswith(message)
+    assert "\n" not in str(refused.value)
 
 
 def test_a_key_set_elsewhere_is_told_with_that_place() -> None:
@@ -108,9 +108,9 @@ def test_a_key_set_elsewhere_is_told_with_that_place() -> None:
 
 
 def test_long_values_are_cut_in_messages() -> None:
-    with pytest.raises(InvalidInput) as told:
+    with pytest.raises(InvalidInput) as refused:
         Section("a.toml", "", {"key": "x" * 500}).number("key")
-    assert len(str(told.value)) < 120
+    assert len(str(refused.value)) < 120
 
 
 def test_unreadable_files(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from congelation.cli.shared import (
     print_json,
     print_summary,
 )
-from congelation.cosim import compiled
+from congelation.cosim.compiled import available
 from congelation.errors import CongelationError, InvalidInput
 from congelation.places import check_file
 from congelation.results.identity import code_version
@@ -34,8 +34,9 @@ from congelation.scenario.ssp import write_ssp
 from congelation.sweep.cluster import Cluster
 from congelation.sweep.engine import carry_out, result_folder
 from congelation.sweep.estimate import estimate
+from congelation.sweep.local import Local
 from congelation.sweep.plan import Plan, plan_study
-from congelation.sweep.workers import Local, Workers
+from congelation.sweep.workers import Workers
 from congelation.verify.assumptions import scenario_warnings
 from congelation.verify.reference import LARGEST_DEVIATION
 
@@ -294,7 +295,7 @@ def _positive(timeout: float | None) -> float | None:
 
 def _carried_out(plan: Plan, workers: Workers, form: Form) -> Results:
     """Carry a study out and show how far it is."""
-    if compiled.library() is None:
+    if not available():
         complain(
             "the compiled stepping loop is not installed, so Python makes all steps: the same "
             "results, later; with a C compiler there, install congelation again"

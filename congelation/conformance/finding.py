@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -13,6 +13,9 @@ from congelation.conformance.rule import Breach, DynamicRule, Level, Outcome, Ru
 from congelation.conformance.rules import RULES
 
 __all__ = ["Finding", "FmuReport", "Report", "Verdict", "merged", "verdict_of"]
+
+SHOWN = 8
+"""Findings that the `repr` of a report names."""
 
 
 @dataclass(frozen=True)
@@ -132,8 +135,8 @@ class FmuReport:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """The broken rules, the accepted ones among them."""
-        told = (Outcome.FOUND, Outcome.KNOWN)
-        return tuple(Finding.of(str(self.path), v) for v in self.verdicts if v.outcome in told)
+        broken = (Outcome.FOUND, Outcome.KNOWN)
+        return tuple(Finding.of(str(self.path), v) for v in self.verdicts if v.outcome in broken)
 
     def count(self, outcome: Outcome) -> int:
         """How many rules ended with an outcome."""
@@ -152,6 +155,15 @@ class Report:
 
     fmus: tuple[FmuReport, ...]
     unused: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        """The counts, and the first findings: the verdicts on all rules would fill pages."""
+        counts = Counter(v.outcome.value for fmu in self.fmus for v in fmu.verdicts)
+        fmus = "1 FMU" if len(self.fmus) == 1 else f"{len(self.fmus)} FMUs"
+        lines = [f"{fmus}: " + ", ".join(f"{n} {outcome}" for outcome, n in counts.items())]
+        lines += [f"  {finding}" for finding in self.findings[:SHOWN]]
+        more = len(self.findings) - SHOWN
+        return "\n".join([*lines, f"  and {more} more"] if more > 0 else lines)
 
     @property
     def findings(self) -> tuple[Finding, ...]:
@@ -172,7 +184,7 @@ def merged(verdicts: Sequence[Verdict]) -> tuple[Verdict, ...]:
     for place, verdict in enumerate(verdicts):
         if verdict.outcome is Outcome.FOUND and verdict.cause:
             groups[_key(verdict.cause)].append(place)
-    told = list(verdicts)
+    kept = list(verdicts)
     for key, places in groups.items():
 
         def owner(place: int, key: str = key) -> bool:
@@ -186,10 +198,10 @@ def merged(verdicts: Sequence[Verdict]) -> tuple[Verdict, ...]:
         for place in places:
             if place != keeper:
                 reason = f"{verdicts[place].breaches[0].what}, see {verdicts[keeper].rule.id}"
-                told[place] = replace(
+                kept[place] = replace(
                     verdicts[place], outcome=Outcome.NOT_EVALUATED, breaches=(), reason=reason
                 )
-    return tuple(told)
+    return tuple(kept)
 
 
 def _key(cause: str) -> str:

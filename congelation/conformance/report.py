@@ -13,7 +13,7 @@ from rich.text import Text
 from congelation.conformance.finding import Finding, FmuReport, Report, Verdict
 from congelation.conformance.rule import Level, Outcome
 
-__all__ = ["to_json", "to_junit", "to_lines", "to_table", "told"]
+__all__ = ["to_json", "to_junit", "to_lines", "to_table", "words_of"]
 
 _STYLES = {
     Outcome.PASS: "green",
@@ -53,7 +53,7 @@ def _counted(fmu: FmuReport) -> str:
     return ", ".join((*counts, *(f"{fmu.count(outcome)} {outcome.value}" for outcome in rest)))
 
 
-def told(verdict: Verdict) -> list[str]:
+def words_of(verdict: Verdict) -> list[str]:
     """What there is to say of a verdict, line by line."""
     lines = [breach.what for breach in verdict.breaches]
     lines += [verdict.reason] if verdict.reason else []
@@ -66,7 +66,7 @@ def to_table(fmu: FmuReport) -> Table:
     for column in ("rule", "section", "level", "outcome", "finding"):
         table.add_column(column, no_wrap=column == "rule")
     for verdict in fmu.verdicts:
-        more = "\n".join(told(verdict))
+        more = "\n".join(words_of(verdict))
         table.add_row(
             verdict.rule.id,
             verdict.rule.section,
@@ -141,7 +141,7 @@ def to_junit(report: Report, fail_on: Level = Level.VIOLATION) -> str:
                 name=f"{verdict.rule.id}: {verdict.rule.sentence}",
                 time=f"{verdict.seconds:.3f}",
             )
-            text = _printable("\n".join((*told(verdict), verdict.rule.page())))
+            text = _printable("\n".join((*words_of(verdict), verdict.rule.page())))
             if verdict.outcome is Outcome.PASS:
                 continue
             if verdict.outcome is not Outcome.FOUND:

@@ -151,14 +151,14 @@ def check(
                     checker.stop()
                     pool.shutdown(wait=True, cancel_futures=True)
                     raise
-            told = []
+            final = []
             for verdict in verdicts:
                 entry = next((a for a in accepted if a.covers(verdict.rule.id, path)), None)
                 if entry is not None and verdict.outcome is Outcome.FOUND:
                     used.add(entry)
                     verdict = replace(verdict, outcome=Outcome.KNOWN, reason=entry.reason)
-                told.append(verdict)
-            reports.append(FmuReport(path, checker.scope, checker.in_scope, tuple(told)))
+                final.append(verdict)
+            reports.append(FmuReport(path, checker.scope, checker.in_scope, tuple(final)))
             if done is not None:
                 done(reports[-1])
     unused = tuple(f"{a.rule} in {a.fmu}" for a in accepted if a not in used)

@@ -260,8 +260,6 @@ def _ended(
             elif step is not None:
                 run_fixed(session, state, Grid(session.start, session.stop, step))
             session.finish(completed=True)
-            for slave in session.ensemble.slaves:
-                slave.complete()
             session.report(1.0)
         except RunEnded as end:
             session.finish(completed=False)

@@ -65,6 +65,17 @@ class SlavePool:
             for slave in lent:
                 self._put_back(slave)
 
+    def terminate(self) -> list[str]:
+        """Call fmi2Terminate of each instance whose run has reached its end and that is not lent.
+
+        Returns
+        -------
+        list of str
+            A line for each FMU that refused.
+        """
+        idle = [slave for slaves in self._idle.values() for slave in slaves]
+        return [line for slave in idle if (line := slave.terminate())]
+
     def close(self) -> None:
         """Free every instance that is not lent."""
         for slaves in self._idle.values():

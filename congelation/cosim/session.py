@@ -300,10 +300,13 @@ class Session:
             self._next_report = clock.monotonic() + PROGRESS_PERIOD
 
     def finish(self, *, completed: bool) -> None:
-        """Record what is still to be recorded."""
+        """Record what is still to be recorded; fmi2Terminate is due after a completed run."""
         if self._is_initialised:
             for rows in self.rows:
                 rows.finish(self._time, completed=completed)
+        if completed:
+            for slave in self.ensemble.slaves:
+                slave.complete()
 
     def statistics(self, wall_time: float) -> Statistics:
         """What the run took."""

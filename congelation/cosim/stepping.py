@@ -31,7 +31,7 @@ from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session, just_before
-from congelation.cosim.step_control import EVENNESS, Halving, StepSize, evened, halved, is_floor
+from congelation.cosim.step_control import Halving, Pace, StepSize, halved, is_floor
 from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
 __all__ = ["run_adaptive", "run_fixed"]
@@ -165,6 +165,7 @@ def run_adaptive(
     assert isinstance(stepper, AdaptiveStepper)  # as a tolerance is given
     horizon = session.stop - session.start
     halving = Halving(np.abs(ensemble.Y[ensemble.source]), np.ones(len(ensemble.links)), 0)
+    pace = Pace(halving.sizes)
     shortest = SHORTEST_KEPT * horizon
     guess = max(shortest, min(stepper.first_step(state), FIRST_SHARE * horizon))
     size = StepSize(first_step if first_step is not None else guess)
@@ -186,13 +187,16 @@ def run_adaptive(
             if session.takes_back:
                 ensemble.save()
             refused = None if compiled is None else compiled.refused
+            before = ensemble.Y[ensemble.source]
             while True:
                 end = _end(time, size.length, target)
                 trial, error = _tried(session, stepper, state, time, end, tolerance, halving)
                 order = trial.order if trial is not None else 1
-                if stepper.predicts:
-                    error = evened(error, end - time, time - session.start, session.steps)
-                    order += EVENNESS
+                if stepper.predicts and trial is not None:
+                    predicted, order = error, order + pace.order
+                    change = ensemble.Y[ensemble.source] - before
+                    lag = pace.lag(change, ensemble.nominal, end - time)
+                    error = pace.weighed(predicted, lag, time, end - time, order)
                 if error <= 1.0:
                     # A step may be good for the loop and too long for what is recorded in it.
                     error = max(error, session.unresolved(end))
@@ -227,6 +231,8 @@ def run_adaptive(
             session.largest_error = max(session.largest_error, trial.error)
             if stepper.halves:
                 halving = halving.accepted(ensemble.Y[ensemble.source])
+            if stepper.predicts:
+                pace = pace.followed(predicted, lag, time, ensemble.Y[ensemble.source])
             time = end
             if time < target or math.isinf(event):
                 session.record(time)

@@ -16,8 +16,8 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.linalg import expm
 
 from congelation.design.problem import Problem
 from congelation.design.search import Candidate, Search
@@ -100,7 +100,11 @@ class _Frozen:
             * math.pi
             / max(1e-9, max(float(np.abs(np.linalg.eigvals(A)).max()) for A in matrices))
         )
-        flows = {(i, d): expm(A * d * unit) for i, A in enumerate(matrices) for d in SWITCHING}
+        flows = {
+            (i, d): scipy.linalg.expm(A * d * unit)
+            for i, A in enumerate(matrices)
+            for d in SWITCHING
+        }
         two = (-math.inf, np.zeros((0, 0)), np.zeros(0))
         for i, j in itertools.combinations(range(len(matrices)), 2):
             for d, e in itertools.product(SWITCHING, repeat=2):

@@ -15,8 +15,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
+import scipy
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 
 from congelation.design.problem import Admissible
 from congelation.design.shooting import Cells, Path, Shooting
@@ -250,7 +250,7 @@ class Search:
                 value = trial.value**2 if self._peak else trial.value
                 return -value, -self._gradient(trial)[1]
 
-            minimize(
+            scipy.optimize.minimize(
                 fall,
                 edges[1:-1],
                 jac=True,

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import NDArray
 
 from congelation.export.spec import Spec
@@ -130,11 +131,9 @@ def structured(
     rest = np.abs(theta - Upsilon @ vartheta).max(axis=0)
     if not (rest > FIT_ROUNDING * (1 + np.abs(theta).max())).any():
         return Structured(vartheta, np.zeros(p))
-    from scipy.optimize import linprog  # here, as no other spec needs it
-
     # Unknowns: vartheta, then the largest |theta_u| of each element.
     reach = np.tile(np.eye(p), (len(A) // p, 1))
-    found = linprog(
+    found = scipy.optimize.linprog(
         np.concatenate([np.zeros(q), np.ones(p)]),
         A_ub=np.block([[A, -reach], [-A, -reach]]),
         b_ub=np.concatenate([b, -b]),

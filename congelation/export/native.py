@@ -35,6 +35,7 @@ from congelation.export.model_description import add_model_exchange
 from congelation.export.spec import FmuSpec
 from congelation.export.stage import Staged
 from congelation.export.straight_line import c_functions
+from congelation.signals import SLOTTED
 from congelation.theory.model import Gain, Model
 
 __all__ = ["model_source", "native_fmu"]
@@ -215,7 +216,7 @@ def _array(declaration: str, rows: Iterable[str]) -> list[str]:
 def _terms(fields: dict[str, int] | object, place: dict[int, int]) -> Iterable[tuple[int, int]]:
     """The number of terms of each kind, and the constant of the first one's first field."""
     assert isinstance(fields, dict)
-    for kind in ("sine", "square", "chirp", "telegraph", "noise"):
+    for kind in SLOTTED:
         own = [vr for name, vr in fields.items() if name.startswith(f"{kind}[")]
         count = len({name.split("]")[0] for name in fields if name.startswith(f"{kind}[")})
         yield count, place[min(own)] if own else 0

@@ -335,26 +335,16 @@ def _profiled(section: Section, model: Model, base: Path, room: Slots | None = N
     names = profiled_names(model)
     table = profile.only(names)
     profiles = tuple(_profile(table, name, base) for name in names)
-    slots = tuple(ProfileSlots(p, _slots(p, room or Slots())) for p in profiles)
+    slots = tuple(
+        ProfileSlots(p, (room or Slots()) | Slots.of(term.kind for term in p.terms))
+        for p in profiles
+    )
     return replace(block, profiles=slots, stated=block.stated.union(table.data))
 
 
 def _profile(table: Section, name: str, base: Path) -> Profile:
     spec = table.data.get(name, 0.0)
     return table.attempt(name, lambda: Profile.from_spec(spec, "term", str(base)))
-
-
-def _slots(profile: Profile, room: Slots) -> Slots:
-    """The room for terms, more where the default profile needs it."""
-    kinds = [term.kind for term in profile.terms]
-    return Slots(
-        max(room.sines, kinds.count("sine")),
-        max(room.squares, kinds.count("square")),
-        max(room.chirps, kinds.count("chirp")),
-        max(room.telegraphs, kinds.count("telegraph")),
-        room.table or "table" in kinds,
-        max(room.noises, kinds.count("noise")),
-    )
 
 
 def _check_defaults(

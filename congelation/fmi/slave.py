@@ -20,10 +20,12 @@ from congelation.fmi.description import Description, Variable
 from congelation.fmi.library import DISCARD, FATAL, STATUS_NAMES, WARNING, Log, load
 from congelation.fmi.start import StartValue
 
-__all__ = ["Slave", "SlaveTerminated", "State", "StepDiscarded"]
+__all__ = ["TERMINATE", "Slave", "SlaveTerminated", "State", "StepDiscarded"]
 
 TERMINATED_KIND = 3
 """fmi2Terminated, of fmi2StatusKind."""
+
+TERMINATE = "fmi2Terminate"
 
 Floats = npt.NDArray[np.float64]
 State = ctypes.c_void_p
@@ -113,21 +115,30 @@ class Slave:
         self._call("fmi2ExitInitializationMode")
 
     def complete(self) -> None:
-        """The run has reached its end: fmi2Terminate is called before the instance is reset or
-        freed, so that an FMU that crashes there does so once its results are safe."""
+        """The run has reached its end: fmi2Terminate is due, at the latest before the instance is
+        reset or freed."""
         self._is_complete = True
 
-    def _terminate(self) -> None:
-        if self._is_complete:
-            self._is_complete = False
-            self._note[0] = self._code("fmi2Terminate")
-            status = self._function("fmi2Terminate")(self._component)
-            self._broken = self._broken or status >= FATAL
+    def terminate(self) -> str:
+        """Call fmi2Terminate if it is due; returns what went wrong in one line, or nothing."""
+        if not self._is_complete:
+            return ""
+        self._is_complete = False
+        before = len(self.log.messages)
+        self._note[0] = self._code(TERMINATE)
+        status = self._function(TERMINATE)(self._component)
+        self.log.error = None  # of a run that has ended
+        self._broken = self._broken or status >= FATAL
+        if status <= WARNING:
+            return ""
+        name = STATUS_NAMES[status] if status < len(STATUS_NAMES) else f"status {status}"
+        reason = "".join(f": {m.line}" for m in list(self.log.messages)[before:][-1:])
+        return f"{TERMINATE} of {self.name} ({self.description.path.name}) returned {name}{reason}"
 
     def reset(self) -> None:
         """fmi2Reset: as if instantiated anew; saved states are freed."""
         self.free_states()
-        self._terminate()
+        self.terminate()
         self.log.clear()
         if self._broken:
             raise SlaveError(self.name, self.time, "fmi2Terminate returned fmi2Fatal")
@@ -137,7 +148,7 @@ class Slave:
         """Free the instance; after fmi2Fatal it is abandoned, as FMI 2.0 demands."""
         if self._component and not self._broken:
             self.free_states()
-            self._terminate()
+            self.terminate()
         if self._component and not self._broken:
             self._note[0] = self._code("fmi2FreeInstance")
             self._function("fmi2FreeInstance", ctypes.c_void_p, returns=None)(self._component)

@@ -12,13 +12,13 @@ from statistics import median
 from typing import Any
 
 from congelation.errors import InvalidInput
+from congelation.places import replace_whole
 from congelation.report.html import draw_overlaid
 from congelation.report.page import Drawn, lines_of, opening, page, table
 from congelation.report.summary import label_of, number
 from congelation.report.verdict import axes_of, listed, settled
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
-from congelation.results.store import replace_whole
 
 __all__ = [
     "BY_VARIANT",

@@ -7,7 +7,7 @@ from html import escape
 from pathlib import Path
 
 from congelation.conformance.finding import Finding, FmuReport, Report, Verdict
-from congelation.conformance.report import told
+from congelation.conformance.report import words_of
 from congelation.conformance.rule import Level, Outcome
 from congelation.places import replace_whole
 from congelation.report.page import opening, pairs, plain_page, table, tile
@@ -133,7 +133,7 @@ def _finding(finding: Finding, verdict: Verdict) -> Iterator[str]:
         yield f"<p>Accepted: {escape(finding.known)}</p>"
     yield f"<p>Remedy: {escape(finding.remedy)}</p>"
     yield "<details><summary>All that was seen, and the rule</summary><ul>"
-    for line in told(verdict):
+    for line in words_of(verdict):
         yield f"<li>{escape(line)}</li>"
     yield "</ul>"
     for paragraph in verdict.rule.page().split("\n\n"):

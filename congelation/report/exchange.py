@@ -14,9 +14,9 @@ from pyarrow import csv
 from scipy.io import savemat
 
 from congelation.errors import InvalidInput
+from congelation.places import replace_whole
 from congelation.results.record import Trajectory
 from congelation.results.results import Results
-from congelation.results.store import replace_whole
 
 __all__ = ["matlab_name", "write_csv", "write_mat"]
 

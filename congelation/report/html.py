@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from congelation.places import replace_whole
 from congelation.report.curves import POINTS, controls, curve_panels, draw_panels
 from congelation.report.diagram import diagram
 from congelation.report.page import Drawn, lines_of, opening, page, pairs, swatch, table, tile
@@ -17,7 +18,6 @@ from congelation.report.summary import metric_definitions, summarise
 from congelation.report.verdict import run_verdict, study_verdict, tiles
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
-from congelation.results.store import replace_whole
 
 __all__ = ["draw_overlaid", "write_html"]
 

@@ -29,19 +29,19 @@ def settled(study: Study, run: RunRecord) -> bool:
 def run_verdict(study: Study, peaks: Mapping[str, float]) -> Iterator[str]:
     """Sentences on the variants of a scenario, the first on whether they settle."""
     name = _named(study, "settling_time")
-    told = []
+    said = []
     for run in study.records:
         if run.failed:
-            told.append(f"{run.variant} failed ({run.status})")
+            said.append(f"{run.variant} failed ({run.status})")
         elif run.status != "COMPLETED":
-            told.append(f"{run.variant} was ended by an FMU before its stop time")
+            said.append(f"{run.variant} was ended by an FMU before its stop time")
         elif not name:
-            told.append(f"{run.variant} reached its stop time")
+            said.append(f"{run.variant} reached its stop time")
         elif settled(study, run):
-            told.append(f"{run.variant} settles after {number(run.metrics[name])} s")
+            said.append(f"{run.variant} settles after {number(run.metrics[name])} s")
         else:
-            told.append(f"{run.variant} does not settle")
-    yield f"{listed(told)}." if told else "No run has finished yet."
+            said.append(f"{run.variant} does not settle")
+    yield f"{listed(said)}." if said else "No run has finished yet."
     priced = prices(study, study.records, peaks)
     dear = {v: p for v, p in priced.items() if p > 1.0}
     if dear:

@@ -22,9 +22,9 @@ import numpy.typing as npt
 from congelation.cosim.result import Status
 from congelation.cosim.trust import error_name
 from congelation.errors import InvalidInput, nearest
+from congelation.places import replace_whole
 from congelation.results.labels import math_label, with_unit
 from congelation.results.record import RunRecord, Study, Trajectory, thin
-from congelation.results.store import replace_whole
 from congelation.scenario.metrics import norm
 
 if TYPE_CHECKING:  # Matplotlib takes half a second, which only commands that draw should wait for

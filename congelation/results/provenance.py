@@ -13,6 +13,7 @@ from congelation.results.identity import code_version
 from congelation.scenario.metrics import Metric, metric
 from congelation.scenario.parts import MetricSpec
 from congelation.scenario.scenario import Scenario
+from congelation.scenario.settings import profile_prefixes
 
 __all__ = ["about"]
 
@@ -30,6 +31,7 @@ def about(scenario: Scenario, varied: Sequence[str]) -> dict[str, Any]:
         "scenario_file": scenario.file.name if scenario.file is not None else "",
         "scenario": scenario.text,
         "varied": list(varied),
+        "spelled": _spelled(varied, descriptions),
         "metrics": {spec.name: _about_metric(spec, descriptions) for spec in scenario.metrics},
         "figures": [asdict(figure) for figure in scenario.figures],
         "fmus": {
@@ -42,6 +44,21 @@ def about(scenario: Scenario, varied: Sequence[str]) -> dict[str, Any]:
         ],
         "versions": _versions(),
     }
+
+
+def _spelled(varied: Sequence[str], descriptions: Mapping[str, Description]) -> dict[str, str]:
+    """How scenarios spell varied numbers of profiles: ``plant.profile[1].sine[1].omega`` is
+    ``plant.profile.theta[1].sine[1].omega`` there."""
+    found = {}
+    for name in varied:
+        owner, _, variable = name.partition(".")
+        if owner not in descriptions:  # the experiment
+            continue
+        for component, prefix in profile_prefixes(descriptions[owner]).items():
+            if variable.startswith(prefix):
+                rest = variable.removeprefix(prefix).replace("mean", "constant")
+                found[name] = f"{owner}.profile.{component}.{rest}"
+    return found
 
 
 def _about_metric(spec: MetricSpec, descriptions: Mapping[str, Description]) -> dict[str, Any]:

@@ -11,8 +11,6 @@ safe on a network file system.
 
 from __future__ import annotations
 
-import io
-import itertools
 import json
 import os
 import sqlite3
@@ -30,40 +28,16 @@ import pyarrow.parquet as pq
 
 from congelation.errors import InvalidInput, nearest
 from congelation.places import StoreError, check_folder, replace_whole
+from congelation.results import tables
 from congelation.results.planned import PlannedRuns
-from congelation.results.record import GROUPS, RunRecord, Steps, Trajectory
+from congelation.results.record import RunRecord, Trajectory
+from congelation.results.trajectory_file import read_trajectory
 
-__all__ = ["Store", "StoreError", "replace_whole", "trajectory_bytes"]
-
-
-METADATA, STEPS = b"congelation", b"steps"
+METADATA = b"congelation"
 """Key of Parquet metadata with the description of the study."""
 
 BUSY = 60.0
 """Seconds to wait for another process that writes into the same directory."""
-
-ROWS_AT_ONCE = 10_000
-"""Rows read at a time, which bounds the memory that an export takes."""
-
-_TYPES = {bool: "BOOLEAN", int: "INTEGER", float: "REAL", str: "TEXT"}
-_TYPED = {
-    "run_id": "TEXT PRIMARY KEY",
-    "number": "INTEGER",
-    "replicate": "INTEGER",
-    "steps": "INTEGER",
-    "rejected_steps": "INTEGER",
-    "iterations": "INTEGER",
-    "warnings": "INTEGER",
-    "estimated_error": "REAL",
-    "wall_time": "REAL",
-    "worst_margin": "REAL",
-    "trust.error": "REAL",
-    "seed": "INTEGER",
-    "numerics_version": "INTEGER",
-}
-"""Columns that are not TEXT."""
-
-_ORDER = "FROM runs LEFT JOIN studies USING (study) {where} ORDER BY used, study, number, run_id"
 
 
 class Store:
@@ -149,23 +123,8 @@ class Store:
         StoreError
             If they cannot be written; none of them is stored then.
         """
-        rows = [record.row() for record in records]
         with self._transaction() as connection:
-            # A new column has the type of its first value, and none where there is no value.
-            new: dict[str, str] = {}
-            known = {name for name, _ in _columns(connection)}
-            for row in rows:
-                for name in row.keys() - known:
-                    kind = "REAL" if name.startswith(GROUPS["metrics"]) else ""
-                    new[name] = _TYPES.get(type(row[name])) or new.get(name, kind)
-            for name in dict.fromkeys(name for row in rows for name in row if name in new):
-                connection.execute(f"ALTER TABLE runs ADD COLUMN {_quoted(name)} {new[name]}")
-            for names, group in itertools.groupby(rows, tuple):
-                columns, marks = ", ".join(map(_quoted, names)), ", ".join("?" * len(names))
-                connection.executemany(
-                    f"INSERT OR REPLACE INTO runs ({columns}) VALUES ({marks})",
-                    [[row[name] for name in names] for row in group],
-                )
+            tables.insert(connection, [record.row() for record in records])
 
     def write_trajectory(self, run_id: str, content: bytes) -> None:
         """Keep the trajectory of a run; `content` is that of `trajectory_bytes`."""
@@ -174,9 +133,9 @@ class Store:
     def export(self) -> Path:
         """Write runs.parquet: every record of this directory."""
         with closing(self._reader()) as connection:
-            names = dict(_columns(connection))
+            names = dict(tables.columns_of(connection))
             schema = pa.schema(
-                [(name, _arrow_type(connection, name, names[name])) for name in names]
+                [(name, tables.arrow_type(connection, name, names[name])) for name in names]
             )
             described = {METADATA: json.dumps(dict(self.about())).encode()}
 
@@ -184,7 +143,7 @@ class Store:
                 with pq.ParquetWriter(
                     file, schema.with_metadata(described), compression="zstd"
                 ) as writer:
-                    for rows in _batches(connection, names):
+                    for rows in tables.batches(connection, names):
                         writer.write_table(pa.Table.from_pylist(rows, schema=schema))
 
             replace_whole(self.index, write)
@@ -218,7 +177,7 @@ class Store:
             finished, versions = 0, set()
             rows = connection.execute("SELECT run_id, status, code_version FROM runs")
             total = 0
-            while batch := rows.fetchmany(ROWS_AT_ONCE):
+            while batch := rows.fetchmany(tables.ROWS_AT_ONCE):
                 total += len(batch)
                 places = known.places([run_id for run_id, _, _ in batch])
                 for place, (_, status, version) in zip(places.tolist(), batch, strict=True):
@@ -236,7 +195,7 @@ class Store:
         else:
             self._refuse_old()
             self._connection = sqlite3.connect(":memory:", isolation_level=None)
-            _make_tables(self._connection)
+            tables.make_tables(self._connection)
         return self._connection
 
     # -- reading ------------------------------------------------------------------------------
@@ -258,19 +217,19 @@ class Store:
             If this is no result directory.
         """
         with closing(self._reader()) as connection:
-            names = dict(_columns(connection))
-            for rows in _batches(connection, names, study):
+            names = dict(tables.columns_of(connection))
+            for rows in tables.batches(connection, names, study):
                 yield from rows
 
     def columns(self) -> dict[str, str]:
         """Names and SQL types of the columns."""
         with closing(self._reader()) as connection:
-            return dict(_columns(connection))
+            return dict(tables.columns_of(connection))
 
     def query(self, text: str, study: str | None = None, *more: object) -> list[tuple[Any, ...]]:
         """The rows of a query; ``{where}`` in it becomes the restriction to a study."""
         with closing(self._reader()) as connection:
-            where, parameters = _where(study)
+            where, parameters = tables.restriction(study)
             return connection.execute(
                 text.replace("{where}", where), (*parameters, *more)
             ).fetchall()
@@ -313,22 +272,9 @@ class Store:
         """
         file = self.trajectory_file(run_id)
         try:
-            table = pq.ParquetFile(file).read()
+            return read_trajectory(file)
         except FileNotFoundError as error:
             raise InvalidInput(f"run {run_id} has no trajectory: {file} does not exist") from error
-        except (OSError, pa.ArrowInvalid) as error:
-            raise InvalidInput(f"{file} is damaged: {str(error).splitlines()[0]}") from error
-        columns = tuple(name for name in table.column_names if name != "time")
-        values = [table[name].to_numpy() for name in columns]
-        units = {
-            name: (table.schema.field(name).metadata or {}).get(b"unit", b"").decode()
-            for name in columns
-        }
-        time = table["time"].to_numpy()
-        rows = np.array(values).T.reshape(len(time), len(columns))
-        steps = (table.schema.metadata or {}).get(STEPS)
-        found = None if steps is None else Steps.of_json(steps)
-        return Trajectory(time, columns, rows, units, found)
 
     # -- helpers ------------------------------------------------------------------------------
 
@@ -343,7 +289,7 @@ class Store:
         """Let the database appear with its tables, or leave it to another process to do so."""
         temporary = self.root / f".runs.sqlite.{os.getpid()}.tmp"
         with closing(sqlite3.connect(temporary)) as connection:
-            _make_tables(connection)
+            tables.make_tables(connection)
             connection.commit()
         with suppress(FileExistsError):
             os.link(temporary, self.database)
@@ -410,87 +356,3 @@ class Comparison:
     missing: array[int]
     others: int
     versions: tuple[str, ...]
-
-
-def _row(**groups: Any) -> dict[str, Any]:
-    """The columns of a record with some groups, in order."""
-    return RunRecord(run_id="", variant="", status="", **groups).row()
-
-
-def _make_tables(connection: sqlite3.Connection) -> None:
-    empty = _row()
-    columns = ", ".join(f"{_quoted(name)} {_TYPED.get(name, 'TEXT')}" for name in empty)
-    connection.execute(f"CREATE TABLE IF NOT EXISTS runs ({columns})")
-    connection.execute(
-        "CREATE TABLE IF NOT EXISTS studies (study TEXT PRIMARY KEY, about TEXT, used REAL)"
-    )
-    connection.execute(
-        "CREATE TABLE IF NOT EXISTS plans (plan TEXT PRIMARY KEY, keys BLOB, numbers BLOB)"
-    )
-
-
-def _columns(connection: sqlite3.Connection) -> list[tuple[str, str]]:
-    """Name and type of every column: those of all runs first, the groups in their places."""
-    found = [(row[1], row[2]) for row in connection.execute("PRAGMA table_info(runs)")]
-    order = list(_column_order())
-
-    def place(entry: tuple[str, str]) -> int:
-        prefix = next((p for p in GROUPS.values() if entry[0].startswith(p)), entry[0])
-        return order.index(prefix)
-
-    return sorted(found, key=place)
-
-
-def _column_order() -> Iterator[str]:
-    """Names of the columns in order, the prefixes of groups in the places of these."""
-    marked = {name: {"": ""} for name in GROUPS}
-    return iter(_row(**marked))
-
-
-def _batches(
-    connection: sqlite3.Connection, names: Mapping[str, str], study: str | None = None
-) -> Iterator[list[dict[str, Any]]]:
-    where, parameters = _where(study)
-    columns = ", ".join(f"runs.{_quoted(name)}" for name in names)
-    order = _ORDER.format(where=where)
-    cursor = connection.execute(f"SELECT {columns} {order}", parameters)
-    flags = [name for name, kind in names.items() if kind == "BOOLEAN"]
-    while rows := cursor.fetchmany(ROWS_AT_ONCE):
-        found = [dict(zip(names, row, strict=True)) for row in rows]
-        for row in found:
-            for name in flags:  # SQLite returns them as integers
-                if row[name] in (0, 1):
-                    row[name] = bool(row[name])
-        yield found
-
-
-def _where(study: str | None) -> tuple[str, tuple[str, ...]]:
-    return ("", ()) if study is None else ("WHERE study = ?", (study,))
-
-
-def _arrow_type(connection: sqlite3.Connection, name: str, kind: str) -> pa.DataType:
-    """The type of a column in Parquet: that of its values where they are not all as declared."""
-    found = connection.execute(f"SELECT DISTINCT typeof({_quoted(name)}) FROM runs").fetchall()
-    held = {row[0] for row in found} - {"null"}
-    if "TEXT" in kind or "text" in held:
-        return pa.string()
-    if kind == "REAL" or "real" in held:
-        return pa.float64()
-    return pa.bool_() if kind == "BOOLEAN" else pa.int64()
-
-
-def _quoted(name: str) -> str:
-    return '"' + name.replace('"', '""') + '"'
-
-
-def trajectory_bytes(trajectory: Trajectory) -> bytes:
-    """The Parquet file of a trajectory."""
-    units = {"time": "s", **trajectory.units}
-    names = ("time", *trajectory.columns)
-    fields = [pa.field(n, pa.float64(), metadata={"unit": units.get(n, "")}) for n in names]
-    arrays = [pa.array(values) for values in (trajectory.time, *trajectory.values.T)]
-    stream = io.BytesIO()
-    about = None if trajectory.steps is None else {STEPS: trajectory.steps.to_json()}
-    table = pa.Table.from_arrays(arrays, schema=pa.schema(fields, about))
-    pq.write_table(table, stream, compression="zstd")
-    return stream.getvalue()

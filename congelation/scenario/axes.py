@@ -31,6 +31,7 @@ from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
+import scipy
 
 from congelation.errors import InvalidInput
 from congelation.scenario.constraint import Constraint
@@ -75,9 +76,7 @@ class Distribution:
 
 
 def _normal_quantile(u: float, mean: float, deviation: float) -> float:
-    from scipy.special import ndtri  # here, as workers never draw, and start sooner without it
-
-    return mean + deviation * float(ndtri(u))
+    return mean + deviation * float(scipy.special.ndtri(u))
 
 
 DISTRIBUTIONS: Mapping[str, Distribution] = {
@@ -110,16 +109,14 @@ def _random(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
 
 
 def _latin_hypercube(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
-    from scipy.stats import qmc  # here, as it takes half a second that only these two need
-
-    points: Floats = qmc.LatinHypercube(dimensions, rng=rng).random(samples)
+    points: Floats = scipy.stats.qmc.LatinHypercube(dimensions, rng=rng).random(samples)
     return points
 
 
 def _sobol(samples: int, dimensions: int, rng: np.random.Generator) -> Floats:
-    from scipy.stats import qmc
-
-    points: Floats = qmc.Sobol(dimensions, rng=rng).random_base2(samples.bit_length() - 1)
+    points: Floats = scipy.stats.qmc.Sobol(dimensions, rng=rng).random_base2(
+        samples.bit_length() - 1
+    )
     return points
 
 

@@ -14,16 +14,13 @@ from congelation.fmi.description import Description
 from congelation.fmi.start import resolve_start
 from congelation.fmi.units import Conversion, conversion
 from congelation.scenario.parts import EXPERIMENT, Experiment, Scalar, agreed
-from congelation.signals import Profile, ProfileError, Slots
+from congelation.signals import Profile, ProfileError, Slots, sizes_of_flat
 from congelation.toml import Section
 
-__all__ = ["SettingsReader", "component_values"]
+__all__ = ["SettingsReader", "component_values", "profile_prefixes"]
 
 _PROFILE_OF = re.compile(r"Profile of (?P<name>[^:]+): ")
 _PROFILE_MEAN = re.compile(r"profile\[(\d+)\]\.mean")
-_TERM_SLOT = re.compile(
-    r"(?P<kind>sine|square|chirp|telegraph|noise)\[\d+\]\.(amplitude|deviation)"
-)
 
 # The keys of the experiment that no variant may change.
 _FIXED = ("record", "options")
@@ -126,6 +123,20 @@ def component_values(
     return given
 
 
+def profile_prefixes(description: Description) -> dict[str, str]:
+    """What the names of the FMU's profile parameters begin with, ``profile[1].``, by the component
+    of theta or signal that scenarios name.
+
+    The description of a profile's mean says what the profile is of.
+    """
+    prefixes = {}
+    for name, variable in description.variables.items():
+        if match := _PROFILE_MEAN.fullmatch(name):
+            of = _PROFILE_OF.match(variable.description)
+            prefixes[of["name"] if of else f"theta[{match[1]}]"] = name.removesuffix("mean")
+    return prefixes
+
+
 def _check_profile(section: Section, prefix: str, values: Mapping[str, object]) -> None:
     """Raise InvalidInput where the numbers of a profile, taken together, make none."""
     numbers = {
@@ -173,15 +184,15 @@ def _profile_values(
     for key, spec in section.data.items():
         component, prefix = _profile_prefix(section, key, description)
         offered = [n.removeprefix(prefix) for n in description.variables if n.startswith(prefix)]
+        sizes = sizes_of_flat(offered)
         if key == component:
             try:
                 profile = Profile.from_spec(spec, section.place(key), folder)
             except ProfileError as error:  # its text begins with the place
                 raise InvalidInput(str(error)) from error
-            flat = section.attempt(key, partial(profile.to_flat, _slots(offered)))
+            flat = section.attempt(key, partial(profile.to_flat, Slots.of(sizes.values())))
             found = {prefix + name: value for name, value in flat.items()}
         else:
-            sizes = [name for name in offered if _TERM_SLOT.fullmatch(name)]
             terms = [name.partition(".")[0] for name in sizes if before.get(prefix + name)]
             variable = prefix + _term_parameter(section, key, component, offered, terms)
             at = {variable: section.at(key)}
@@ -236,15 +247,8 @@ def _converted(quantity: Section, to: Conversion) -> object:
 def _profile_prefix(section: Section, key: str, description: Description) -> tuple[str, str]:
     """The component of theta, or the signal, that a key is of, and what the names of its
     profile parameters begin with.
-
-    The description of a profile's mean says what the profile is of.
     """
-    components = {}
-    for name, variable in description.variables.items():
-        if match := _PROFILE_MEAN.fullmatch(name):
-            of = _PROFILE_OF.match(variable.description)
-            component = of["name"] if of else f"theta[{match[1]}]"
-            components[component] = name.removesuffix("mean")
+    components = profile_prefixes(description)
     if not components:
         raise section.error(key, f"has no place: {description.path.name} takes no profile")
     for component, prefix in components.items():
@@ -271,21 +275,6 @@ def _term_parameter(
             return name
     known = ["constant", *names, *(name.replace("[1].", ".") for name in names)]
     raise section.error(key, f"is no part of this profile; {nearest(asked, known)}")
-
-
-def _slots(offered: Iterable[str]) -> Slots:
-    """The room for terms that an FMU has, from the names of its profile parameters."""
-    names = set(offered)
-    matches = (_TERM_SLOT.fullmatch(name) for name in names)
-    kinds = [match["kind"] for match in matches if match]
-    return Slots(
-        sines=kinds.count("sine"),
-        squares=kinds.count("square"),
-        chirps=kinds.count("chirp"),
-        telegraphs=kinds.count("telegraph"),
-        noises=kinds.count("noise"),
-        table="table.file" in names,
-    )
 
 
 def _by_owner(section: Section) -> Section:

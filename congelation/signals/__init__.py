@@ -19,7 +19,8 @@ it stands: the standard library only, Python 3.9 or later, imports among its mod
 from __future__ import annotations
 
 from .checks import ProfileError
-from .flat import FlatParameter, Slots, flat_parameters
+from .flat import FlatParameter, Slots, flat_parameters, sizes_of_flat
+from .kinds import SLOTTED
 from .noise import Noise
 from .profiles import Profile, box_radius, profile
 from .segment import Segment
@@ -28,6 +29,7 @@ from .telegraph import Telegraph, splitmix64
 from .terms import Chirp, Constant, Sine, Square, Term
 
 __all__ = [
+    "SLOTTED",
     "Chirp",
     "Constant",
     "FlatParameter",
@@ -44,5 +46,6 @@ __all__ = [
     "box_radius",
     "flat_parameters",
     "profile",
+    "sizes_of_flat",
     "splitmix64",
 ]

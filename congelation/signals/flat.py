@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
 from typing import Any, NamedTuple
 
 from .checks import ProfileError, boolean, checked, nearest
-from .kinds import BY_KIND, body_of, parameters, scalar_term, table_of_file
+from .kinds import BY_KIND, SLOTTED, body_of, parameters, scalar_term, table_of_file
 from .table import Table
 from .terms import Constant, Term
 
@@ -19,6 +20,7 @@ __all__ = [
     "Slots",
     "flat_of_terms",
     "flat_parameters",
+    "sizes_of_flat",
     "terms_of_flat",
 ]
 
@@ -35,15 +37,21 @@ class Slots:
     noises: int = 0
 
     def count(self, kind: str) -> int:
-        """Number of slots for terms of `kind`: sine, square, chirp, telegraph or noise."""
-        counts = {
-            "sine": self.sines,
-            "square": self.squares,
-            "chirp": self.chirps,
-            "telegraph": self.telegraphs,
-            "noise": self.noises,
-        }
-        return counts[kind]
+        """Number of slots for terms of a kind, one of `SLOTTED`."""
+        return int(getattr(self, f"{kind}s"))
+
+    @classmethod
+    def of(cls, kinds: Iterable[str]) -> Slots:
+        """Room for terms of just these kinds, one slot for each that is listed."""
+        numbers = Counter(kinds)
+        slots = {f"{kind}s": numbers[kind] for kind in SLOTTED}
+        return cls(**slots, table=Table.kind in numbers)
+
+    def __or__(self, other: Slots) -> Slots:
+        """Room for the terms of either."""
+        return Slots(
+            **{f.name: max(getattr(self, f.name), getattr(other, f.name)) for f in fields(self)}
+        )
 
 
 class FlatParameter(NamedTuple):
@@ -60,7 +68,6 @@ class FlatParameter(NamedTuple):
     description: str
 
 
-_SLOTTED = ("sine", "square", "chirp", "telegraph", "noise")
 _MEAN = "mean"
 _TABLE_FILE = "table.file"
 _TABLE_LINEAR = "table.linear"
@@ -75,7 +82,7 @@ def _default(f: Any) -> Any:
 def flat_parameters(slots: Slots = DEFAULT_SLOTS) -> list[FlatParameter]:
     """The flat parameters of a profile with these slots, in the order of their names in FMUs."""
     listed = [FlatParameter(_MEAN, "Real", 0.0, "", "mean value")]
-    for kind in _SLOTTED:
+    for kind in SLOTTED:
         for k in range(1, slots.count(kind) + 1):
             for name, f in parameters(BY_KIND[kind]).items():
                 meta = f.metadata
@@ -96,6 +103,21 @@ def flat_parameters(slots: Slots = DEFAULT_SLOTS) -> list[FlatParameter]:
     return listed
 
 
+def sizes_of_flat(names: Iterable[str]) -> dict[str, str]:
+    """Of the names of flat parameters those that turn a term on, such as ``sine[1].amplitude``.
+
+    Each with the kind of its term; a table is turned on by its file.
+    """
+    found = {}
+    for name in names:
+        match = _SLOT_NAME.fullmatch(name)
+        if name == _TABLE_FILE:
+            found[name] = Table.kind
+        elif match and match[1] in SLOTTED and match[3] == BY_KIND[match[1]].size:
+            found[name] = match[1]
+    return found
+
+
 def terms_of_flat(values: Mapping[str, Any], base: str) -> tuple[Term, ...]:
     """The terms that flat parameters describe; cf. `Profile.from_flat`."""
     slots: dict[tuple[int, int], dict[str, Any]] = {}
@@ -104,14 +126,14 @@ def terms_of_flat(values: Mapping[str, Any], base: str) -> tuple[Term, ...]:
             continue
         match = _SLOT_NAME.fullmatch(name)
         kind, k, key = match.groups() if match else ("", "1", "")
-        if kind not in _SLOTTED or key not in parameters(BY_KIND[kind]):
+        if kind not in SLOTTED or key not in parameters(BY_KIND[kind]):
             valid = [p.name.replace("[1]", f"[{k}]") for p in flat_parameters()]
             raise ProfileError(f"{name}: unknown parameter; {nearest(name, valid)}")
-        slots.setdefault((_SLOTTED.index(kind), int(k)), {})[key] = value
+        slots.setdefault((SLOTTED.index(kind), int(k)), {})[key] = value
     mean = checked(values.get(_MEAN, 0.0), {"type": "Real", "positive": False}, _MEAN)
     terms: list[Term] = [Constant(mean)] if mean else []
     for (order, k), given in sorted(slots.items()):
-        kind = _SLOTTED[order]
+        kind = SLOTTED[order]
         full = {name: _default(f) for name, f in parameters(BY_KIND[kind]).items()}
         full.update(given)
         term = scalar_term(kind, full, f"{kind}[{k}]")
@@ -127,7 +149,7 @@ def flat_of_terms(terms: Sequence[Term], slots: Slots) -> dict[str, Any]:
     """All flat parameters for `slots`; cf. `Profile.to_flat`."""
     flat: dict[str, Any] = {p.name: p.default for p in flat_parameters(slots)}
     flat[_MEAN] = math.fsum([t.value for t in terms if isinstance(t, Constant)])
-    for kind in _SLOTTED:
+    for kind in SLOTTED:
         alike = [term for term in terms if term.kind == kind]
         if len(alike) > slots.count(kind):
             raise ProfileError(f"{len(alike)} terms {kind}: at most {slots.count(kind)} fit")

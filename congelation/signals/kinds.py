@@ -14,11 +14,13 @@ from .table import Table
 from .telegraph import Telegraph
 from .terms import Chirp, Constant, ScalarTerm, Sine, Square, Term
 
-__all__ = ["BY_KIND", "KINDS", "body_of", "parameters", "scalar_term", "table_of_file"]
+__all__ = ["BY_KIND", "KINDS", "SLOTTED", "body_of", "parameters", "scalar_term", "table_of_file"]
 
 _SCALAR_TERMS: tuple[type[ScalarTerm], ...] = (Constant, Sine, Square, Chirp, Telegraph, Noise)
 BY_KIND = {cls.kind: cls for cls in _SCALAR_TERMS}
 KINDS = (*BY_KIND, Table.kind)
+SLOTTED = tuple(kind for kind in BY_KIND if kind != Constant.kind)
+"""Kinds of which a profile of an FMU has room for a fixed number, in the order of its variables."""
 
 
 def parameters(cls: type[ScalarTerm]) -> dict[str, Any]:

@@ -19,11 +19,12 @@ from typing import Any, ClassVar, cast, final
 from urllib.parse import urlsplit
 
 from congelation.errors import CongelationError, InvalidInput
+from congelation.places import replace_whole
 from congelation.results.record import Outcome
-from congelation.results.store import replace_whole
 from congelation.scenario.scenario import Scenario
 from congelation.sweep.execute import WORKER_DIED, Job, Task
-from congelation.sweep.workers import PERIOD, Event, Local, Lost, Progress, Workers
+from congelation.sweep.local import PERIOD, Local
+from congelation.sweep.workers import Event, Lost, Progress, Remark, Workers
 
 __all__ = ["Cluster"]
 
@@ -169,7 +170,7 @@ def _do(job: Job, files: Mapping[str, tuple[str, bytes]] | None, task: Task) -> 
         _Here.workers.submit([task])
         while True:
             for event in _Here.workers.events():
-                if not isinstance(event, Progress):
+                if not isinstance(event, Progress | Remark):
                     return event
 
 

@@ -18,16 +18,17 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from congelation.errors import DesignWarning, InvalidInput
+from congelation.places import StoreError
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
-from congelation.results.store import StoreError
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
 from congelation.sweep.cluster import Cluster
 from congelation.sweep.execute import REFUSED, Task
+from congelation.sweep.local import Local
 from congelation.sweep.notebook import notebook_progress
 from congelation.sweep.plan import Plan, plan_study
-from congelation.sweep.workers import Finished, Local, Lost, Progress, Workers
+from congelation.sweep.workers import Finished, Lost, Progress, Remark, Workers
 from congelation.verify.assumptions import scenario_warnings
 
 __all__ = ["Listener", "Tally", "carry_out", "read", "result_folder", "run", "sweep"]
@@ -57,7 +58,8 @@ class Tally:
     under_way : float
         Sum of the fractions done of the runs that are under way.
     notices : tuple of str
-        A line for each run whose steps have collapsed since the last call.
+        What there is to tell since the last call: a line for each run whose steps have collapsed,
+        and for each FMU that fails in fmi2Terminate.
     """
 
     done: int
@@ -268,6 +270,7 @@ class _Engine:
         self._under_way: dict[str, Task] = {}
         self._fractions: dict[str, float] = {}
         self._notices: list[str] = []
+        self._remarks: set[str] = set()
         self._deaths: Counter[str] = Counter()
         self._records: list[RunRecord] = []
         self._committed = time.monotonic()
@@ -283,6 +286,9 @@ class _Engine:
         with self.workers.running(self.plan.job):
             while self._submit() or self._under_way:
                 for event in self.workers.events():
+                    if isinstance(event, Remark):
+                        self._remark(event)
+                        continue
                     task = self._under_way[event.run_id]
                     if isinstance(event, Progress):
                         self._fractions[event.run_id] = event.fraction
@@ -304,6 +310,11 @@ class _Engine:
                     len(self._records) >= BATCH or time.monotonic() > self._committed + PERIOD
                 ):
                     self.commit()
+                self._tell()
+            self.commit()
+            for remark in self.workers.finish():
+                self._remark(remark)
+            if self._notices:
                 self._tell()
 
     def commit(self) -> None:
@@ -340,6 +351,12 @@ class _Engine:
             self._end(task, record)
         else:
             self._alone.append(task)
+
+    def _remark(self, remark: Remark) -> None:
+        """Tell what is the same in all runs once."""
+        if remark.line not in self._remarks:
+            self._remarks.add(remark.line)
+            self._notices.append(remark.line)
 
     def _end(self, task: Task, record: RunRecord) -> None:
         self._records.append(record)

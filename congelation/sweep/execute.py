@@ -17,7 +17,8 @@ from congelation.fmi.description import describe
 from congelation.fmi.library import KEPT
 from congelation.results.identity import NUMERICS_VERSION
 from congelation.results.record import Outcome, Steps, Trajectory
-from congelation.results.store import Store, trajectory_bytes
+from congelation.results.store import Store
+from congelation.results.trajectory_file import trajectory_bytes
 from congelation.scenario.parts import Settings
 from congelation.scenario.scenario import Case, Scenario
 from congelation.verify.measure import Points, measure

@@ -16,8 +16,8 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize
 
 from congelation.errors import InvalidInput
 from congelation.theory.closed_loop import ClosedLoop, Compiled
@@ -383,7 +383,7 @@ class Certificate:
                 return math.inf, np.zeros_like(Y)
             return -margin.excess, -slope
 
-        found = minimize(fall, Y, jac=True, method="L-BFGS-B", options=ASCENT)
+        found = scipy.optimize.minimize(fall, Y, jac=True, method="L-BFGS-B", options=ASCENT)
         return self._meet(found.x, ell)
 
     def _margin(self, numbers: Vector, perturbations: PerturbationSet) -> Margin:

@@ -8,8 +8,8 @@ from functools import cached_property
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.integrate import solve_ivp
 
 from congelation.errors import InvalidInput
 from congelation.theory.model import Input, Model, Variables
@@ -330,7 +330,7 @@ class ClosedLoop:
             before_end = wanted <= segment.end if last else wanted < segment.end
             inside = wanted[(wanted >= segment.start) & before_end]
             with np.errstate(all="ignore"):  # a trial step may overflow; the solver shortens it
-                piece = solve_ivp(
+                piece = scipy.integrate.solve_ivp(
                     lambda t, X, theta=segment.theta: self.function(X, theta(t)),
                     (segment.start, segment.end),
                     X,

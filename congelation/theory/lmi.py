@@ -17,8 +17,8 @@ import math
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import sqrtm
 
 from congelation.errors import InfeasibleDesign, InvalidInput
 from congelation.theory.gains import upper_shift
@@ -82,7 +82,7 @@ def smallest_feasible_r_lmi(Q: ArrayLike) -> float:
 def _inequality(cp: Any, P: Any, Q: Matrix, s: Any) -> Any:
     """The block matrix above, with s for 1/r^2, made symmetric for the solver's sake."""
     n = Q.shape[0]
-    S, root, identity = upper_shift(n), np.real(sqrtm(Q)), np.eye(n)
+    S, root, identity = upper_shift(n), np.real(scipy.linalg.sqrtm(Q)), np.eye(n)
     corner = P @ S + S.T @ P - np.outer(identity[0], identity[0]) + s * identity
     block = cp.bmat([[corner, P @ root], [root @ P, -identity]])
     return (block + block.T) / 2

@@ -14,8 +14,8 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lyapunov
 
 __all__ = [
     "Exact",
@@ -61,8 +61,11 @@ def stabilising(A: ArrayLike, G: ArrayLike, C: ArrayLike) -> Exact | None:
     B = vectors * np.sqrt(np.abs(eigenvalues))
     R = np.diag(np.where(eigenvalues < 0, -1.0, 1.0))
     try:
-        P = solve_continuous_are(drift, B, constant, R)
-    except (LinAlgError, ValueError):  # the second: eigenvalues too close to be told apart
+        P = scipy.linalg.solve_continuous_are(drift, B, constant, R)
+    except (
+        np.linalg.LinAlgError,
+        ValueError,
+    ):  # the second: eigenvalues too close to be told apart
         return None
     P = newton(P, A, G, C)
     return None if P is None else newton(exact(P), A, G, C)
@@ -98,7 +101,7 @@ def _lyapunov(A: Matrix, Q: Matrix) -> Matrix:
     with warnings.catch_warnings():
         # "Nearly singular": the next residual tells what the step was worth.
         warnings.simplefilter("ignore", RuntimeWarning)
-        D = solve_continuous_lyapunov(A.T, -Q)
+        D = scipy.linalg.solve_continuous_lyapunov(A.T, -Q)
     return np.asarray((D + D.T) / 2)
 
 

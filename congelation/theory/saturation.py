@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+import scipy
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import NonlinearConstraint, brentq, minimize
 
 from congelation.errors import InvalidInput
 from congelation.theory.certificate import Certificate
@@ -135,7 +135,7 @@ def largest_level(
 
     with np.errstate(all="ignore"):
         # The bottom of V, where u is 0: the origin but where V holds a root of an estimate.
-        bottom = minimize(
+        bottom = scipy.optimize.minimize(
             V_of, np.full(size, 0.1), jac=lambda y: slope(y, ell)[:size], method="BFGS"
         ).x
         generator = np.random.default_rng(seed)
@@ -144,14 +144,14 @@ def largest_level(
         best = sorted(found, key=V_of)[:DESCENTS]
         for point in list(best):
             side = math.copysign(1.0, u_of(point))
-            surface = NonlinearConstraint(
+            surface = scipy.optimize.NonlinearConstraint(
                 lambda y, side=side: side * u_of(y) / umax - 1.0,
                 0.0,
                 math.inf,
                 jac=lambda y, side=side: side * slope(y, ell)[size:] / umax,
             )
             unit = V_of(point)
-            descent = minimize(
+            descent = scipy.optimize.minimize(
                 lambda y, unit=unit: V_of(y) / unit,
                 point,
                 jac=lambda y, unit=unit: slope(y, ell)[:size] / unit,
@@ -186,7 +186,9 @@ def _crossings(
             if not math.isfinite(there):
                 break
             if there >= 0.0:
-                points.append(bottom + brentq(excess, before, r, xtol=1e-12) * direction)
+                points.append(
+                    bottom + scipy.optimize.brentq(excess, before, r, xtol=1e-12) * direction
+                )
                 break
             before = r
     return points

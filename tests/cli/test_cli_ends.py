@@ -6,6 +6,7 @@ import json
 import os
 import re
 import subprocess
+import sys
 import threading
 import zipfile
 from pathlib import Path
@@ -13,9 +14,10 @@ from pathlib import Path
 import pytest
 
 from congelation.results.results import open_results
+from congelation.sweep.local import Local
 from tests.cosim.c_fmus import SOURCES, plain_fmu
 from tests.scenarios import FMUS, ROOT, SCALAR, write
-from tests.studies import COMMAND, environment, process
+from tests.studies import COMMAND, children, environment, process
 from tests.studies import command as congelation
 from tests.studies import last_line as one_line
 
@@ -246,23 +248,65 @@ peak_y = {{metric = "peak", of = "a.y"}}
 """
 
 
-@pytest.mark.parametrize(
-    ("setting", "status", "last"),
-    [("ends = 0.6", "TERMINATED", 0.5)],
-)
-def test_the_row_of_a_run_outlives_how_its_fmu_ends(
-    tmp_path: Path, setting: str, status: str, last: float
+def test_a_run_that_its_fmu_ends_has_a_row_and_is_terminated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It ends the run before the stop time."""
-    file, out = tmp_path / "one.toml", tmp_path / "out"
-    file.write_text(ONE.format(fmu=plain_fmu(tmp_path), setting=setting))
+    file, out, notes = tmp_path / "one.toml", tmp_path / "out", tmp_path / "notes"
+    monkeypatch.setenv("PLAIN_FMU_NOTES", str(notes))
+    file.write_text(ONE.format(fmu=plain_fmu(tmp_path), setting="ends = 0.6"))
     done = congelation("run", file, "--out", out)
     results = open_results(out)
     (found,) = results.runs
-    assert (done.returncode, found.status) == (0, status), done.stderr
+    assert (done.returncode, found.status) == (0, "TERMINATED"), done.stderr
     assert found.metrics["peak_y"] == 2.0
-    trajectory = results.trajectory(found.run_id)
-    assert trajectory.time[-1] == last
+    assert results.trajectory(found.run_id).time[-1] == 0.5
+    assert notes.read_text() == "T"
+
+
+THREE = """
+[[sweep.axes]]
+set = "a.x0"
+values = [2.0, 3.0, 4.0]
+"""
+
+
+@pytest.mark.parametrize(
+    ("fault", "said"),
+    [
+        (0, None),
+        (9, r"ended the worker process \(SIGSEGV\), after the run; no result is lost"),
+        (12, "returned fmi2Error: the report cannot be written"),
+        pytest.param(
+            11,
+            r"did not return within \d+ s, after the run; no result is lost",
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_fmi2terminate_is_called_once_per_run_and_loses_no_row(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fault: int, said: str | None
+) -> None:
+    """The FMU notes each call; in it, it does nothing special, crashes, refuses or hangs."""
+    file, out, notes = tmp_path / "one.toml", tmp_path / "out", tmp_path / "notes"
+    monkeypatch.setenv("PLAIN_FMU_NOTES", str(notes))
+    monkeypatch.setattr(sys.modules[Local.__module__], "GRACE", 1.0)
+    text = ONE.format(fmu=plain_fmu(tmp_path), setting=f"fault = {fault}")
+    file.write_text(text + THREE)
+    done = congelation("sweep", file, "--out", out, "--progress", "json")
+    assert done.returncode == 0, done.stderr
+    runs = open_results(out).runs
+    assert sorted(run.metrics["peak_y"] for run in runs) == [2.0, 3.0, 4.0]
+    assert {run.status for run in runs} == {"COMPLETED"}
+    # A run whose row had not been sent when its worker process ended is done a second time.
+    calls = notes.read_text().count("T")
+    assert calls == 3 if fault in (0, 12) else 3 <= calls <= 4
+    notices = [json.loads(line)["notice"] for line in done.stderr.splitlines() if "notice" in line]
+    if said is None:
+        assert notices == []
+    else:
+        (line,) = notices
+        assert re.fullmatch(rf"fmi2Terminate of a \(plain\S*\.fmu\) {said}", line), line
+    assert children(os.getpid()) == []
 
 
 def test_warnings_of_an_fmu_are_counted_and_kept(tmp_path: Path) -> None:

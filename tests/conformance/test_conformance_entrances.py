@@ -20,6 +20,7 @@ from mutant import swap
 from typer.testing import CliRunner
 
 from congelation.cli.check import check
+from congelation.conformance import runner
 from tests.studies import command
 
 APP = typer.Typer()
@@ -46,6 +47,13 @@ def test_command_fails_on_a_violation(broken: Path, tmp_path: Path) -> None:
     assert "FMI2-LIB-02 violation: fmi2GetVersion returns b'2.1' - " in result.output
     assert 'failures="1"' in junit.read_text()
     assert json.loads(data.read_text())["counts"]["violation"] == 1
+
+
+def test_report_is_shown_in_a_few_lines(broken: Path) -> None:
+    lines = repr(runner.check([broken], rules=["FMI2-LIB"])).splitlines()
+    assert lines[0] == "1 FMU: 4 pass, 1 found"
+    assert "FMI2-LIB-02 violation: fmi2GetVersion returns b'2.1' - " in lines[1]
+    assert len(lines) == 2
 
 
 @pytest.mark.parametrize(

@@ -16,10 +16,10 @@ from congelation.cosim import (
     Output,
     SlavePool,
     System,
-    compiled,
     make_coupling,
     perform,
 )
+from congelation.cosim.compiled import base, library
 
 WAYS: Mapping[str, Mapping[str, Any]] = {
     "hermite to a tolerance": {"coupling": "hermite", "tolerance": 1e-4},
@@ -46,14 +46,14 @@ def faulty(plain: Path, fault: float) -> System:
     )
 
 
-def main(library: Path, parts: Path, plain: Path) -> int:
+def main(file: Path, parts: Path, plain: Path) -> int:
     """The number of runs in which the library was called."""
-    found = compiled.load_library(library)
+    found = library.load_library(file)
     assert found is not None
-    compiled.library = lambda: found  # type: ignore[assignment]
+    library.loaded = lambda: found  # type: ignore[assignment]
     used = set()
-    called = compiled._Compiled.called
-    compiled._Compiled.called = lambda self, *a: used.add(runs) or called(self, *a)  # type: ignore
+    called = base.Compiled.called
+    base.Compiled.called = lambda self, *a: used.add(runs) or called(self, *a)  # type: ignore
     runs = 0
     held = {name: {"coupling": name, "step": 2e-3} for name in ("jacobi", "gauss_seidel")}
     for way in [*WAYS.values(), *held.values()]:

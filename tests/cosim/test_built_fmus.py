@@ -142,7 +142,9 @@ def test_rejected_steps_leave_no_trace(pool, monkeypatch):
     def same_again(self, error, length, order):
         return self if error == forced_error else refused(self, error, length, order)
 
-    monkeypatch.setattr(compiled, "library", lambda: None)  # what is patched is the Python loop
+    monkeypatch.setattr(
+        compiled.library, "loaded", lambda: None
+    )  # what is patched is the Python loop
     monkeypatch.setattr(stepping, "_tried", sometimes_refused)
     monkeypatch.setattr(StepSize, "refused", same_again)
     forced = simulate(case.system, **kwargs)

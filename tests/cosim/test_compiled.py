@@ -22,7 +22,7 @@ from congelation.cosim import (
     System,
     perform,
 )
-from congelation.cosim import compiled as module
+from congelation.cosim.compiled import base, library
 from congelation.cosim.coupling.derivative import DerivativeStepper
 from congelation.cosim.coupling.hermite import HermiteStepper
 from congelation.cosim.session import Session
@@ -39,15 +39,15 @@ def both(
     monkeypatch: pytest.MonkeyPatch, system: System, experiment: Experiment, **options: object
 ) -> tuple[Result, Result]:
     """A run by the compiled loop, and by Python."""
-    assert module.library() is not None, "the stepping loop was not compiled"
+    assert library.loaded() is not None, "the stepping loop was not compiled"
     used = []
-    called = module._Compiled.called
+    called = base.Compiled.called
     with monkeypatch.context() as patch:
-        patch.setattr(module._Compiled, "called", lambda *a: used.append(1) or called(*a))
+        patch.setattr(base.Compiled, "called", lambda *a: used.append(1) or called(*a))
         fast = perform(system, experiment, **options)
     assert used
     with monkeypatch.context() as patch:
-        patch.setattr(module, "library", lambda: None)
+        patch.setattr(library, "loaded", lambda: None)
         slow = perform(system, experiment, **options)
     return fast, slow
 
@@ -109,7 +109,7 @@ def test_values_without_derivatives_shorten_steps(
         fast = perform(case.system, experiment, output=output[0])
     assert not judged, "Python has made a step"
     with monkeypatch.context() as patch:
-        patch.setattr(module, "library", lambda: None)
+        patch.setattr(library, "loaded", lambda: None)
         slow = perform(case.system, experiment, output=output[1])
     assert_equal(fast, slow)
     np.testing.assert_array_equal(coarse[0].rows(), coarse[1].rows())
@@ -182,7 +182,7 @@ def test_problems(
             system = problem.system(parts, ability)
             counted["Python"] = 0
             with monkeypatch.context() as patch:
-                patch.setattr(module, "library", lambda: None)
+                patch.setattr(library, "loaded", lambda: None)
                 slow = perform(system, experiment, pool=pool)
             by_python, counted["Python"] = counted["Python"], 0
             fast = perform(system, experiment, pool=pool)
@@ -207,7 +207,7 @@ def test_every_scenario(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
         ):
             fast = perform(case.system, each, pool=pool)
             with monkeypatch.context() as patch:
-                patch.setattr(module, "library", lambda: None)
+                patch.setattr(library, "loaded", lambda: None)
                 assert_equal(fast, perform(case.system, each, pool=pool))
 
 
@@ -242,16 +242,16 @@ def test_sanitizers_find_nothing(plain: Path, parts: Path, tmp_path: Path) -> No
     ).stdout.strip()
     if not Path(address).is_file():
         pytest.skip("gcc has no libasan here")
-    library = tmp_path / "loop.so"
+    built = tmp_path / "loop.so"
     checks = ["-fsanitize=address,undefined", "-fno-sanitize-recover=all", "-ffp-contract=off"]
-    source = ROOT / "congelation" / "cosim" / "loop.c"
+    source = ROOT / "congelation" / "cosim" / "loop" / "loop.c"
     subprocess.run(
-        ["gcc", "-std=c99", "-O1", "-g", *checks, "-shared", "-fPIC", source, "-o", library, "-lm"],
+        ["gcc", "-std=c99", "-O1", "-g", *checks, "-shared", "-fPIC", source, "-o", built, "-lm"],
         check=True,
     )
     # Python and the FMUs keep memory until the end, which is no fault of the loop.
     ended = subprocess.run(
-        [sys.executable, "-m", "tests.cosim.sanitized", library, parts, plain],
+        [sys.executable, "-m", "tests.cosim.sanitized", built, parts, plain],
         cwd=ROOT,
         env={**os.environ, "LD_PRELOAD": address, "ASAN_OPTIONS": "detect_leaks=0"},
         capture_output=True,

@@ -183,7 +183,9 @@ def test_a_rejected_step_leaves_no_trace(loop, coupling, monkeypatch):
             return trial, np.inf
         return trial, error
 
-    monkeypatch.setattr(compiled, "library", lambda: None)  # what is patched is the Python loop
+    monkeypatch.setattr(
+        compiled.library, "loaded", lambda: None
+    )  # what is patched is the Python loop
     monkeypatch.setattr(stepping, "_tried", sometimes_refused)
     monkeypatch.setattr(StepSize, "refused", lambda self, error, length, order: self)
     forced = simulate(loop({"a": 1.0}), **kwargs)
@@ -226,7 +228,7 @@ def test_an_error_that_never_falls_names_the_connection(loop, monkeypatch):
     def never_falls(piece, points, end, new, *, high):
         return np.ones(new.shape[1]), None
 
-    monkeypatch.setattr(compiled, "library", lambda: None)
+    monkeypatch.setattr(compiled.library, "loaded", lambda: None)
     monkeypatch.setattr(hermite, "estimated_error", never_falls)
     result = simulate(loop(), stop_time=1.0, tolerance=1e-4, coupling="hermite")
     assert result.status is Status.STEP_TOO_SMALL
@@ -243,7 +245,7 @@ def test_iterations_that_never_settle_name_the_connection(loop, monkeypatch):
     def restless(self, *arguments):
         return found(self, *arguments) + next(sizes)
 
-    monkeypatch.setattr(compiled, "library", lambda: None)
+    monkeypatch.setattr(compiled.library, "loaded", lambda: None)
     monkeypatch.setattr(hermite.HermiteStepper, "_iterated", restless)
     result = simulate(loop(), stop_time=1.0, tolerance=1e-4, coupling="hermite")
     assert result.status is Status.NOT_CONVERGED

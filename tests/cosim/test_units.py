@@ -147,9 +147,9 @@ def test_a_converted_loop_is_that_of_an_independent_master(tmp_path: Path) -> No
 
 
 def test_other_base_units_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InvalidInput) as told:
+    with pytest.raises(InvalidInput) as refused:
         loop(tmp_path, "K", "m/s").resolve()
-    assert str(told.value) == (
+    assert str(refused.value) == (
         "connection 'plant.x -> controller.x': 'K' cannot become 'm/s': K against m.s-1 in SI units"
     )
 

@@ -1,4 +1,4 @@
-"""Specs: what is read, and what a mistake is told."""
+"""Specs: what is read, and what is said of a mistake."""
 
 import os
 import re
@@ -227,9 +227,9 @@ DELAY = 'form = "delay"\n[units]\n'
 def test_units_that_the_equations_do_not_admit(tmp_path, text, place, unit):
     file = tmp_path / "spec.toml"
     file.write_text(text)
-    with pytest.raises(InvalidInput) as told:
+    with pytest.raises(InvalidInput) as refused:
         read_buildable(file)
-    line = str(told.value)
+    line = str(refused.value)
     assert line.startswith(f"{file}: units.")
     assert place in line
     assert line.endswith(unit)

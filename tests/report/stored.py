@@ -10,7 +10,8 @@ import numpy as np
 
 from congelation.results.record import RunRecord, Trajectory
 from congelation.results.results import Results
-from congelation.results.store import Store, trajectory_bytes
+from congelation.results.store import Store
+from congelation.results.trajectory_file import trajectory_bytes
 
 ABOUT = {
     "title": "Two <runs>",

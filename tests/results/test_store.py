@@ -17,10 +17,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from congelation.errors import CongelationError, InvalidInput
+from congelation.places import StoreError, replace_whole
 from congelation.results.identity import code_version, content_hash, file_hash
 from congelation.results.record import STRETCHES, RunRecord, Steps, Trajectory
 from congelation.results.results import Results, open_results
-from congelation.results.store import Store, StoreError, replace_whole, trajectory_bytes
+from congelation.results.store import Store
+from congelation.results.trajectory_file import trajectory_bytes
 from tests.studies import until
 
 ABOUT = {"title": "A study", "figures": [], "varied": [], "metrics": {}, "swept": False}

@@ -16,7 +16,7 @@
 
 enum { U1, U2, Y, A, B1, B2, D1, D2, X0, GRAIN, ENDS, FAULT, COUNT };
 enum { NONE, CRASHES, ABORTS, EXITS, HANGS, HANGS_WITH_LOCK, NOT_A_NUMBER, DISCARDS, REFUSES,
-       CRASHES_AT_THE_END, WARNS };
+       CRASHES_AT_THE_END, WARNS, HANGS_AT_THE_END, REFUSES_THE_END };
 
 typedef struct {
     double v[COUNT], x;
@@ -120,8 +120,16 @@ static void note(const char *letter) {
 
 fmi2Status fmi2Terminate(fmi2Component c) {
     volatile int *volatile nowhere = NULL;
+    Model *m = c;
     note("T");
-    if ((int)((Model *)c)->v[FAULT] == CRASHES_AT_THE_END) *nowhere = 1;
+    switch ((int)m->v[FAULT]) {
+    case CRASHES_AT_THE_END: *nowhere = 1; break;
+    case HANGS_AT_THE_END: for (;;) pause();
+    case REFUSES_THE_END:
+        m->callbacks->logger(m->callbacks->componentEnvironment, "plain", fmi2Error,
+                             "logStatusError", "the report cannot be written");
+        return fmi2Error;
+    }
     return fmi2OK;
 }
 

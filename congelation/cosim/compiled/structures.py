@@ -1,0 +1,203 @@
+"""The structures that the compiled loop works on, as in loop/structures.h."""
+
+from __future__ import annotations
+
+import ctypes
+
+from congelation.cosim.coupling.points import KEPT
+from congelation.cosim.recording import NODES
+
+__all__ = [
+    "Block",
+    "Call",
+    "Grid",
+    "Loop",
+    "Memory",
+    "Plan",
+    "Slave",
+    "State",
+]
+
+
+class Call(ctypes.Structure):
+    """One call that reads or sets Real values, or derivatives of them."""
+
+    _fields_ = [
+        ("plain", ctypes.c_void_p),
+        ("ranked", ctypes.c_void_p),
+        ("references", ctypes.c_void_p),
+        ("orders", ctypes.c_void_p),
+        ("note", ctypes.c_uint64),
+        ("count", ctypes.c_size_t),
+        ("values", ctypes.c_void_p),
+        ("places", ctypes.c_void_p),
+        ("factors", ctypes.c_void_p),
+        ("offsets", ctypes.c_void_p),
+    ]
+
+
+class Slave(ctypes.Structure):
+    """An FMU, and the calls that a step makes."""
+
+    _fields_ = [
+        ("component", ctypes.c_void_p),
+        ("note", ctypes.c_void_p),
+        ("step_note", ctypes.c_uint64),
+        ("get_note", ctypes.c_uint64),
+        ("free_note", ctypes.c_uint64),
+        ("set_note", ctypes.c_uint64),
+        ("step", ctypes.c_void_p),
+        ("get_state", ctypes.c_void_p),
+        ("free_state", ctypes.c_void_p),
+        ("set_state", ctypes.c_void_p),
+        ("states", ctypes.c_void_p * 2),
+        ("reads", ctypes.POINTER(Call)),
+        ("writes", ctypes.POINTER(Call)),
+        ("holds", ctypes.POINTER(Call)),
+        ("n_reads", ctypes.c_int),
+        ("n_writes", ctypes.c_int),
+        ("n_holds", ctypes.c_int),
+        ("checked", ctypes.c_void_p),
+        ("n_checked", ctypes.c_size_t),
+        ("holds_some", ctypes.c_int),
+        ("forward", ctypes.c_void_p),
+        ("ahead", ctypes.c_void_p),
+        ("steps_ahead", ctypes.c_int),
+        ("reaches_end", ctypes.c_int),
+    ]
+
+
+class Block(ctypes.Structure):
+    """Wires that are carried over together; Block of exchange.py."""
+
+    _fields_ = [
+        ("sources", ctypes.c_void_p),
+        ("targets", ctypes.c_void_p),
+        ("n_sources", ctypes.c_int),
+        ("n_targets", ctypes.c_int),
+        ("n", ctypes.c_ssize_t),
+        ("places", ctypes.c_void_p),
+        ("slots", ctypes.c_void_p),
+        ("nominal", ctypes.c_void_p),
+        ("loops", ctypes.c_int),
+    ]
+
+
+class Loop(ctypes.Structure):
+    """What the compiled loop works on, and what became of it; as in loop/structures.h."""
+
+    _fields_ = [
+        ("slaves", ctypes.POINTER(Slave)),
+        ("n_slaves", ctypes.c_int),
+        ("which", ctypes.c_int),
+        ("n_links", ctypes.c_ssize_t),
+        ("Y", ctypes.c_void_p),
+        ("C", ctypes.c_void_p),
+        ("source", ctypes.c_void_p),
+        ("source_derivative", ctypes.c_void_p),
+        ("columns", ctypes.c_void_p),
+        ("order", ctypes.c_void_p),
+        ("inexact", ctypes.c_int),
+        ("nominal", ctypes.c_void_p),
+        ("blocks", ctypes.POINTER(Block)),
+        ("solving", ctypes.c_void_p),
+        ("n_blocks", ctypes.c_int),
+        ("n_events", ctypes.c_int),
+        ("events", ctypes.c_void_p),
+        ("stop", ctypes.c_double),
+        ("rows", ctypes.c_void_p),
+        ("kinds", ctypes.c_void_p),
+        ("recorded", ctypes.c_void_p),
+        ("width", ctypes.c_ssize_t),
+        ("capacity", ctypes.c_ssize_t),
+        ("n_rows", ctypes.c_ssize_t),
+        ("every", ctypes.c_long),
+        ("left", ctypes.c_long),
+        ("most", ctypes.c_long),
+        ("steps", ctypes.c_long),
+        ("rejected", ctypes.c_long),
+        ("events_crossed", ctypes.c_long),
+        ("floors", ctypes.c_long),
+        ("passes", ctypes.c_long),
+        ("calls", ctypes.c_long),
+        ("largest_error", ctypes.c_double),
+        ("counted", ctypes.c_double),
+        ("counted_before", ctypes.c_double),
+        ("status", ctypes.c_int),
+        ("function", ctypes.c_char_p),
+        ("time", ctypes.c_double),
+        ("level", ctypes.c_int),
+    ]
+
+
+class Plan(ctypes.Structure):
+    """What follows from a coupling and a system once and for all."""
+
+    _fields_ = [
+        ("iterates", ctypes.c_int),
+        ("highest", ctypes.c_int),
+        ("chooses", ctypes.c_int),
+        ("accelerates", ctypes.c_int),
+        ("max_iterations", ctypes.c_int),
+        ("iterations", ctypes.c_int),
+        ("saves", ctypes.c_int),
+        ("halves", ctypes.c_int),
+        ("sequential", ctypes.c_int),
+        ("exchanges", ctypes.c_int),
+        ("tolerance", ctypes.c_double),
+        ("accuracy", ctypes.c_double),
+        ("unsettled", ctypes.c_double),
+        ("horizon", ctypes.c_double),
+        ("first_change", ctypes.c_double),
+        ("shortest_kept", ctypes.c_double),
+        ("n_back", ctypes.c_ssize_t),
+        ("back", ctypes.c_void_p),
+        ("work", ctypes.c_void_p),
+    ]
+
+
+class Grid(ctypes.Structure):
+    """OutputGrid of recording.py, as far as it judges steps."""
+
+    _fields_ = [
+        ("interval", ctypes.c_double),
+        ("n_sampled", ctypes.c_ssize_t),
+        ("places", ctypes.c_void_p),
+        ("nominal", ctypes.c_void_p),
+        ("samples", ctypes.c_void_p),
+        ("times", ctypes.c_double * NODES),
+        ("n_times", ctypes.c_int),
+    ]
+
+
+class State(ctypes.Structure):
+    """The state of a coupling at a communication point."""
+
+    _fields_ = [
+        ("times", ctypes.c_double * KEPT),
+        ("n_times", ctypes.c_int),
+        ("order", ctypes.c_int),
+        ("table", ctypes.c_void_p),
+        ("J", ctypes.c_void_p),
+        ("length", ctypes.c_double),
+    ]
+
+
+class Memory(ctypes.Structure):
+    """What a run takes from one step to the next."""
+
+    _fields_ = [
+        ("state", State),
+        ("step", ctypes.c_double),
+        ("error_before", ctypes.c_double),
+        ("event", ctypes.c_double),
+        ("refused_length", ctypes.c_double),
+        ("refused_error", ctypes.c_double),
+        ("sizes", ctypes.c_void_p),
+        ("lasting", ctypes.c_void_p),
+        ("found", ctypes.c_double),
+        ("left", ctypes.c_int),
+        ("rejected", ctypes.c_int),
+        ("n_grids", ctypes.c_int),
+        ("grids", ctypes.POINTER(Grid)),
+    ]
