@@ -286,6 +286,7 @@ STRUCTURE = Table(
             choices=("constant", "varying"),
         ),
         Key("tracking", "boolean", "whether the output follows a reference, input yr", False),
+        Key("disturbance", "boolean", "whether the plant is disturbed, input d", False),
         Key(
             "radius",
             "text",
