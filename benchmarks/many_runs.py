@@ -22,8 +22,8 @@ from congelation.scenario.axes import RandomAxis, Sweep
 from congelation.scenario.load import load_scenario
 from congelation.sweep.engine import Tally, carry_out
 from congelation.sweep.execute import Job, Task
+from congelation.sweep.local import Local
 from congelation.sweep.plan import plan_study
-from congelation.sweep.workers import Local
 
 __all__ = ["measure"]
 

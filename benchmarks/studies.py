@@ -24,8 +24,8 @@ from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
 from congelation.sweep.engine import carry_out
 from congelation.sweep.execute import execute
+from congelation.sweep.local import Local
 from congelation.sweep.plan import plan_study
-from congelation.sweep.workers import Local
 
 __all__ = ["in_one_process", "measure", "study", "swept"]
 

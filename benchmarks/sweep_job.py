@@ -24,8 +24,8 @@ from congelation.scenario.axes import RandomAxis, Sweep
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
 from congelation.sweep.engine import Tally, carry_out
+from congelation.sweep.local import Local
 from congelation.sweep.plan import plan_study
-from congelation.sweep.workers import Local
 
 __all__ = ["FRESH", "SWEEP", "Cost", "Job", "do", "elsewhere", "measured", "resident"]
 

@@ -34,8 +34,9 @@ from congelation.scenario.ssp import write_ssp
 from congelation.sweep.cluster import Cluster
 from congelation.sweep.engine import carry_out, result_folder
 from congelation.sweep.estimate import estimate
+from congelation.sweep.local import Local
 from congelation.sweep.plan import Plan, plan_study
-from congelation.sweep.workers import Local, Workers
+from congelation.sweep.workers import Workers
 from congelation.verify.assumptions import scenario_warnings
 from congelation.verify.reference import LARGEST_DEVIATION
 

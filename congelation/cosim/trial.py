@@ -131,7 +131,7 @@ WORTH = 200
 GROWTH = 4.0
 """By so much steps grow until their errors show, where a tolerance chooses them."""
 
-SHORTER = 3.0
+SHORTER = 2.0
 """Steps at the start are so many times shorter, at most, than those to come."""
 
 EVEN_STEPS = 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,10 +19,16 @@ __all__ = [
     "label_of",
     "metric_definitions",
     "number",
+    "short",
     "summarise",
     "summarise_groups",
 ]
 
+
+_NUMBER = re.compile(r"(?<!profile\.theta)\[\d+\](?=\.\w+$)")
+"""The number of a term of a profile."""
+
+_COLUMNS = ("variant", "status", "replicate")
 
 _QUANTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
 
@@ -41,21 +48,18 @@ def summarise_groups(study: Study, by: Sequence[str]) -> Summary:
     ----------
     study : Study
     by : sequence of str
-        Columns: `variant`, `status`, `replicate` where there are any, or varied settings.
+        Columns: `variant`, `status`, `replicate` where there are any, or varied settings, as the
+        FMU or the scenario spells them; a vector or profile stands for all that varies of it.
 
     Raises
     ------
     InvalidInput
         If there is no such column.
     """
-    names = [name.removeprefix(GROUPS["settings"]) for name in by]
-    known = ["variant", "status", "replicate", *study.about["varied"]]
-    for name in names:
-        if name not in known:
-            raise InvalidInput(f"'{name}' is no column to group by; {nearest(name, known)}")
+    names = [name for asked in by for name in _columns(study, asked)]
 
     def key(run: RunRecord) -> tuple[object, ...]:
-        return tuple(getattr(run, n) if n in known[:3] else run.settings.get(n) for n in names)
+        return tuple(getattr(run, n) if n in _COLUMNS else run.settings.get(n) for n in names)
 
     groups: dict[tuple[str, ...], list[RunRecord]] = {}
     for run in sorted(study.records, key=lambda run: [_order(value) for value in key(run)]):
@@ -69,6 +73,32 @@ def summarise_groups(study: Study, by: Sequence[str]) -> Summary:
         cells += [_spread([run.metrics.get(name) for run in runs]) for name in metrics]
         lines.append((", ".join(label), tuple(cells)))
     return Summary(tuple(columns), tuple(lines))
+
+
+def _columns(study: Study, asked: str) -> list[str]:
+    """The columns that a name stands for."""
+    name = asked.removeprefix(GROUPS["settings"])
+    if name in _COLUMNS:
+        return [name]
+    # By each spelling of a column its names. The first term of a kind goes without its number,
+    # as in a scenario, where that is the only one.
+    spelled: dict[str, list[str]] = {}
+    for column in study.about["varied"]:
+        spelling = study.about.get("spelled", {}).get(column, column)
+        for each in {column, spelling, _NUMBER.sub("", spelling)}:
+            spelled.setdefault(each, []).append(column)
+    found = spelled.get(name, [])
+    if len(found) > 1:
+        raise InvalidInput(f"'{name}' is one of {len(found)}; give {' or '.join(found)}")
+    if found:
+        return found
+    inside = re.compile(re.escape(name) + r"[.\[]")
+    found = [
+        column for each, columns in spelled.items() if inside.match(each) for column in columns
+    ]
+    if found:
+        return list(dict.fromkeys(found))
+    raise InvalidInput(f"'{name}' is no column to group by; {nearest(name, [*_COLUMNS, *spelled])}")
 
 
 def _order(value: object) -> tuple[int, float, str]:
@@ -134,11 +164,17 @@ def number(value: object) -> str:
         return "true" if value else "false"
     if isinstance(value, int | str):
         return str(value)
-    if isinstance(value, float) and math.isnan(value):
+    if not isinstance(value, float):  # a list of numbers
+        return str(value)
+    if math.isnan(value):
         return "–"
-    if value == math.inf:
-        return "never"
-    return f"{value:.4g}"
+    return "never" if value == math.inf else short(value, 4)
+
+
+def short(value: float, digits: int) -> str:
+    """A number with so many digits; without an exponent up to 100,000."""
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:.0f}" if 10.0 ** (digits - 1) <= abs(rounded) < 1e5 else f"{value:.{digits}g}"
 
 
 def _lines(study: Study) -> Iterator[tuple[str, list[str]]]:

@@ -17,7 +17,7 @@ from congelation.scenario.parts import EXPERIMENT, Experiment, Scalar, agreed
 from congelation.signals import Profile, ProfileError, Slots, sizes_of_flat
 from congelation.toml import Section
 
-__all__ = ["SettingsReader", "component_values"]
+__all__ = ["SettingsReader", "component_values", "profile_prefixes"]
 
 _PROFILE_OF = re.compile(r"Profile of (?P<name>[^:]+): ")
 _PROFILE_MEAN = re.compile(r"profile\[(\d+)\]\.mean")
@@ -121,6 +121,20 @@ def component_values(
             if any(key.startswith(prefix) for key in given):
                 _check_profile(start, prefix, {**(before or {}), **given})
     return given
+
+
+def profile_prefixes(description: Description) -> dict[str, str]:
+    """What the names of the FMU's profile parameters begin with, ``profile[1].``, by the component
+    of theta or signal that scenarios name.
+
+    The description of a profile's mean says what the profile is of.
+    """
+    prefixes = {}
+    for name, variable in description.variables.items():
+        if match := _PROFILE_MEAN.fullmatch(name):
+            of = _PROFILE_OF.match(variable.description)
+            prefixes[of["name"] if of else f"theta[{match[1]}]"] = name.removesuffix("mean")
+    return prefixes
 
 
 def _check_profile(section: Section, prefix: str, values: Mapping[str, object]) -> None:
@@ -233,15 +247,8 @@ def _converted(quantity: Section, to: Conversion) -> object:
 def _profile_prefix(section: Section, key: str, description: Description) -> tuple[str, str]:
     """The component of theta, or the signal, that a key is of, and what the names of its
     profile parameters begin with.
-
-    The description of a profile's mean says what the profile is of.
     """
-    components = {}
-    for name, variable in description.variables.items():
-        if match := _PROFILE_MEAN.fullmatch(name):
-            of = _PROFILE_OF.match(variable.description)
-            component = of["name"] if of else f"theta[{match[1]}]"
-            components[component] = name.removesuffix("mean")
+    components = profile_prefixes(description)
     if not components:
         raise section.error(key, f"has no place: {description.path.name} takes no profile")
     for component, prefix in components.items():

@@ -23,7 +23,8 @@ from congelation.places import replace_whole
 from congelation.results.record import Outcome
 from congelation.scenario.scenario import Scenario
 from congelation.sweep.execute import WORKER_DIED, Job, Task
-from congelation.sweep.workers import PERIOD, Event, Local, Lost, Progress, Remark, Workers
+from congelation.sweep.local import PERIOD, Local
+from congelation.sweep.workers import Event, Lost, Progress, Remark, Workers
 
 __all__ = ["Cluster"]
 

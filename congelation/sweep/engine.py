@@ -25,9 +25,10 @@ from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
 from congelation.sweep.cluster import Cluster
 from congelation.sweep.execute import REFUSED, Task
+from congelation.sweep.local import Local
 from congelation.sweep.notebook import notebook_progress
 from congelation.sweep.plan import Plan, plan_study
-from congelation.sweep.workers import Finished, Local, Lost, Progress, Remark, Workers
+from congelation.sweep.workers import Finished, Lost, Progress, Remark, Workers
 from congelation.verify.assumptions import scenario_warnings
 
 __all__ = ["Listener", "Tally", "carry_out", "read", "result_folder", "run", "sweep"]

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from congelation.results.results import open_results
-from congelation.sweep.workers import Local
+from congelation.sweep.local import Local
 from tests.cosim.c_fmus import SOURCES, plain_fmu
 from tests.scenarios import FMUS, ROOT, SCALAR, write
 from tests.studies import COMMAND, children, environment, process

@@ -10,8 +10,8 @@ import pytest
 from congelation.results.results import Results
 from congelation.scenario.load import load_scenario
 from congelation.sweep import estimate as estimates
+from congelation.sweep.local import Local
 from congelation.sweep.plan import plan_study
-from congelation.sweep.workers import Local
 from tests.cli.test_cli_sweep import rows, sweep
 from tests.scenarios import SCALAR, write
 from tests.studies import environment, install, process

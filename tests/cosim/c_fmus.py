@@ -2,6 +2,7 @@
 
 import subprocess
 import zipfile
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import fmpy
@@ -41,28 +42,83 @@ def plain_fmu(folder: Path, *, declares: bool = False, source: str | Path = "pla
     `declares`: whether it says that y follows from no input at once (d1 = d2 = 0). `source`: a file
     that includes plain.c, under the name plain.c as well.
     """
-    causalities = {"u1": "input", "u2": "input", "y": "output"}
     names = ("u1", "u2", "y", "a", "b1", "b2", "d1", "d2", "x0", "grain", "ends", "fault")
-    variables = "".join(
-        f'<ScalarVariable name="{name}" valueReference="{k}" '
-        + (
-            f'causality="{causalities[name]}">'
-            if name in causalities
-            else 'causality="parameter" variability="fixed">'
-        )
-        + ("<Real/>" if name == "y" else '<Real start="0"/>')
-        + "</ScalarVariable>"
-        for k, name in enumerate(names)
-    )
     known = ' dependencies=""' if declares else ""
+    outputs = f'<Unknown index="3"{known}/>'
     return compile_fmu(
         folder / f"plain_{declares}.fmu",
         source,
+        _described("plain", names, {"u1": "input", "u2": "input", "y": "output"}, outputs),
+    )
+
+
+def truck_fmu(folder: Path) -> Path:
+    """One part of a quarter truck, which holds its input and solves itself to a tolerance."""
+    causalities = {"in": "input", **dict.fromkeys(("force", "position", "velocity"), "output")}
+    outputs = "".join(f'<Unknown index="{k}"/>' for k in (2, 3, 4))
+    described = _described("truck", (*causalities, "part"), causalities, outputs)
+    return compile_fmu(folder / "truck.fmu", "truck.c", described)
+
+
+def _described(
+    name: str, variables: Sequence[str], causalities: Mapping[str, str], outputs: str
+) -> str:
+    """The model description of an FMU that can save its state and has Real variables alone.
+
+    What has no causality is a parameter; value references are places.
+    """
+    listed = "".join(
+        f'<ScalarVariable name="{variable}" valueReference="{k}" '
+        + (
+            f'causality="{causalities[variable]}">'
+            if variable in causalities
+            else 'causality="parameter" variability="fixed">'
+        )
+        + ("<Real/>" if causalities.get(variable) == "output" else '<Real start="0"/>')
+        + "</ScalarVariable>"
+        for k, variable in enumerate(variables)
+    )
+    return (
         '<?xml version="1.0" encoding="UTF-8"?>'
-        '<fmiModelDescription fmiVersion="2.0" modelName="plain" guid="{2}">'
-        '<CoSimulation modelIdentifier="plain" canHandleVariableCommunicationStepSize="true"'
+        f'<fmiModelDescription fmiVersion="2.0" modelName="{name}" guid="{{2}}">'
+        f'<CoSimulation modelIdentifier="{name}" canHandleVariableCommunicationStepSize="true"'
         ' canGetAndSetFMUstate="true"/>'
-        f"<ModelVariables>{variables}</ModelVariables>"
-        f'<ModelStructure><Outputs><Unknown index="3"{known}/></Outputs></ModelStructure>'
-        "</fmiModelDescription>",
+        f"<ModelVariables>{listed}</ModelVariables>"
+        f"<ModelStructure><Outputs>{outputs}</Outputs></ModelStructure>"
+        "</fmiModelDescription>"
+    )
+
+
+def bouncing_fmu(folder: Path) -> Path:
+    """x'' = -g - w x + b u, y = x + d u, of model exchange; see fmus/bouncing.c."""
+    names = ("u", "y", "kicks", "g", "w", "b", "d", "e", "x0", "v0", "fault", "asks", "ends")
+    parts = [
+        '<ScalarVariable name="u" valueReference="0" causality="input"><Real start="0"/>',
+        '<ScalarVariable name="y" valueReference="1" causality="output"><Real/>',
+        '<ScalarVariable name="kicks" valueReference="2" causality="output" '
+        'variability="discrete"><Real/>',
+        *(
+            f'<ScalarVariable name="{name}" valueReference="{k}" causality="parameter" '
+            'variability="fixed"><Real start="0"/>'
+            for k, name in enumerate(names[3:], 3)
+        ),
+        '<ScalarVariable name="x" valueReference="13" causality="local"><Real/>',
+        '<ScalarVariable name="v" valueReference="14" causality="local"><Real/>',
+        '<ScalarVariable name="der(x)" valueReference="15" causality="local">'
+        '<Real derivative="14"/>',
+        '<ScalarVariable name="der(v)" valueReference="16" causality="local">'
+        '<Real derivative="15"/>',
+    ]
+    variables = "".join(f"{part}</ScalarVariable>" for part in parts)
+    return compile_fmu(
+        folder / "bouncing.fmu",
+        "bouncing.c",
+        '<?xml version="1.0" encoding="UTF-8"?>'
+        '<fmiModelDescription fmiVersion="2.0" modelName="bouncing" guid="{3}" '
+        'numberOfEventIndicators="1"><ModelExchange modelIdentifier="bouncing"/>'
+        '<CoSimulation modelIdentifier="bouncing"/>'
+        f"<ModelVariables>{variables}</ModelVariables><ModelStructure><Outputs>"
+        '<Unknown index="2" dependencies="1"/><Unknown index="3" dependencies=""/></Outputs>'
+        '<Derivatives><Unknown index="16"/><Unknown index="17"/></Derivatives>'
+        "</ModelStructure></fmiModelDescription>",
     )

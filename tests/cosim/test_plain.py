@@ -2,11 +2,12 @@
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from congelation.cosim import Component, Connection, SlavePool, Status, System, simulate
 
-from .c_fmus import plain_fmu
+from .c_fmus import plain_fmu, truck_fmu
 from .monolithic import order
 
 STIFFNESS, MASS, SPEED = 1e5, 100.0, 0.1
@@ -134,6 +135,32 @@ def test_without_declared_dependencies_the_error_is_as_small(fmus, coupling):
     passing, _ = fmus
     error, _ = run(SPRING, (passing, passing), coupling=coupling, tolerance=1e-3)
     assert error < 1e-2
+
+
+def quarter_truck(time, z):
+    """z' of the chassis and the wheel of truck.c: position and velocity of each."""
+    chassis, speed, wheel, wheel_speed = z
+    between = 15e3 * (wheel - chassis) + 1e3 * (wheel_speed - speed)
+    road = 150e3 * (0.1 - wheel) - 0.5 * wheel_speed
+    return [speed, between / 400, wheel_speed, (road - between) / 40]
+
+
+@pytest.mark.parametrize("tolerance", [1e-2, 1e-3, 1e-4])
+@pytest.mark.parametrize("coupling", ["hermite", "derivative", "auto"])
+def test_a_stiff_pair_that_solves_itself_takes_few_steps(tmp_path, coupling, tolerance):
+    """A spring and damper between chassis and wheel: 15 kN at the start, which calm down."""
+    fmu = truck_fmu(tmp_path)
+    parts = (Component("chassis", fmu), Component("wheel", fmu, {"part": 1.0}))
+    links = ("chassis.velocity -> wheel.in", "wheel.force -> chassis.in")
+    system = System(parts, tuple(map(Connection.parse, links)))
+    names = ["chassis.position", "chassis.velocity", "wheel.position", "wheel.velocity"]
+    result = simulate(system, stop_time=1.0, record=names, coupling=coupling, tolerance=tolerance)
+    exact = solve_ivp(
+        quarter_truck, (0.0, 1.0), np.zeros(4), "DOP853", result.time, rtol=1e-10, atol=1e-12
+    ).y.T
+    errors = np.abs(result.values - exact).max(axis=0) / np.abs(exact).max(axis=0)
+    assert errors.max() < 10.0 * tolerance
+    assert tolerance < 1e-3 or result.statistics.macro_steps <= 2000
 
 
 @pytest.mark.parametrize(("coupling", "steps"), [("hermite", 200), ("derivative", 800)])

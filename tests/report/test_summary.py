@@ -76,3 +76,30 @@ def test_unknown_names_are_told() -> None:
         summarise_groups(study, ["a.q"])
     with pytest.raises(InvalidInput, match="'tim' is no metric; did you mean 'time'"):
         pareto_front(study, ["tim"])
+
+
+OMEGA = {f"p.profile[{j}].{term}.omega": f"p.profile.theta[{j}].{term}.omega"
+         for j, term in ((1, "sine[1]"), (1, "sine[2]"), (2, "sine[1]"))}  # fmt: skip
+SPELLED = {**OMEGA, "p.profile[1].mean": "p.profile.theta[1].constant"}
+
+
+@pytest.mark.parametrize(
+    ("asked", "labels"),
+    [
+        ("p.profile[2].sine[1].omega", ["3"]),
+        ("p.profile.theta[2].sine[1].omega", ["3"]),
+        ("p.profile.theta[2].sine.omega", ["3"]),
+        ("set.p.profile.theta[1].constant", ["4"]),
+        ("p.profile.theta[1]", ["1, 2, 4"]),
+        ("p.x0", ["5, 6"]),
+    ],
+)
+def test_columns_are_named_as_in_the_fmu_or_in_the_scenario(asked: str, labels: list[str]) -> None:
+    settings = {name: float(k) for k, name in enumerate([*SPELLED, "p.x0[1]", "p.x0[2]"], 1)}
+    run = RunRecord(run_id="", variant="v", status="COMPLETED", settings=settings)
+    study = Study((run,), {"varied": [*settings], "spelled": SPELLED, "metrics": {}})
+    assert [label for label, _ in summarise_groups(study, [asked]).lines] == labels
+    with pytest.raises(InvalidInput, match="is one of 2; give p"):
+        summarise_groups(study, ["p.profile.theta[1].sine.omega"])
+    with pytest.raises(InvalidInput, match="no column to group by"):
+        summarise_groups(study, ["p.profile.theta.constant"])

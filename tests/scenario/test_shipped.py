@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import itertools
+import json
 import re
+import shlex
+import tomllib
 from pathlib import Path
 
 import pytest
 
+from congelation.results.results import open_results
 from congelation.scenario.load import load_scenario
 from congelation.sweep.engine import run
 from congelation.sweep.plan import plan_study
 from congelation.verify.reference import LARGEST_DEVIATION
-from tests.scenarios import ROOT, write
+from tests.scenarios import FMUS, ROOT, SHIPPED
 from tests.studies import command, done
 
 
@@ -52,29 +57,90 @@ def test_the_studies_are_as_large_as_they_say(tmp_path: Path, name: str, runs: i
     assert plan.total == len(plan.missing) == runs
 
 
-@pytest.mark.slow
-def test_the_printed_command_of_the_study_of_rates_answers_it(tmp_path: Path) -> None:
-    """Shortened to two rates and an amplitude: a line per rate and controller, nothing pooled."""
-    text = (ROOT / "scenarios" / "study_rate.toml").read_text(encoding="utf-8")
-    (printed,) = (
-        line.removeprefix("#").split() for line in text.splitlines() if "congelation report" in line
-    )
-    arguments = [word.strip('"') for word in printed[1:]]
-    changes = (
-        ("stop_time = 12.0", "stop_time = 0.1"),
-        ("values = [0.01, 0.1, 1.0, 10.0, 100.0, 1000.0]", "values = [1.0, 100.0]"),
-        ("values = [0.25, 0.5, 1.0, 2.0]", "values = [1.0]"),
-        ("trajectories = true", "trajectories = false"),
-    )
-    file, out = write(tmp_path, text, *changes), tmp_path / "out"
-    assert command("sweep", file, "--out", out).returncode == 0
-    arguments[arguments.index("results/study_rate")] = str(out)
-    header, *lines = command(*arguments).stdout.splitlines()
-    assert header.split()[:4] == ["plant.profile[1].sine[1].omega,", "variant", "runs", "completed"]
-    groups = [(rate, f"Controller {k}") for rate in ("1", "100") for k in (1, 2)]
-    assert [tuple(re.split(r", |  +", line)[:4]) for line in lines] == [
-        (*group, "1", "1") for group in groups
+PRINTED = {
+    file.stem: [
+        shlex.split(one, comments=True)[1:]
+        for line in file.read_text(encoding="utf-8").splitlines()
+        if line.startswith("#     congelation ")
+        for one in line.removeprefix("#").split("&&")
     ]
+    for file in SHIPPED
+}
+"""The commands in the heads of the shipped scenarios."""
+
+
+def reduced(file: Path, stop_time: float) -> str:
+    """A shipped scenario with another stop time, at most two variants, values and samples."""
+    data = tomllib.loads(file.read_text(encoding="utf-8"))
+    data["experiment"] |= {"stop_time": stop_time}
+    for metric in data["metrics"].values():
+        if "after" in metric:
+            metric["after"] = 0.5 * stop_time
+    data["variants"] = data.get("variants", [])[:2]
+    sweep = data.get("sweep", {})
+    if "samples" in sweep:
+        sweep["samples"] = 2
+    for axis in sweep.get("axes", ()):
+        if "values" in axis:
+            axis["values"] = axis["values"][:2]
+        if "experiment.stop_time" in axis["set"]:
+            axis["values"] = [[omega, stop_time] for omega, _ in axis["values"]]
+    return "".join(f"{key} = {as_toml(value)}\n" for key, value in data.items())
+
+
+def as_toml(value: object) -> str:
+    """A value as TOML in one line."""
+    if isinstance(value, dict):
+        inner = (f"{json.dumps(key)} = {as_toml(each)}" for key, each in value.items())
+        return "{" + ", ".join(inner) + "}"
+    if isinstance(value, list):
+        return "[" + ", ".join(map(as_toml, value)) + "]"
+    return json.dumps(value)
+
+
+def test_the_head_of_each_study_prints_what_answers_it() -> None:
+    """A study with lists of values is reported by them: its summary alone would pool them."""
+    for file in SHIPPED:
+        words = [printed[0] for printed in PRINTED[file.stem]]
+        sweep = tomllib.loads(file.read_text(encoding="utf-8")).get("sweep")
+        if sweep is not None:
+            lists = any("values" in axis for axis in sweep["axes"])
+            assert words == ["sweep", "report"][: 1 + lists], file.name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name, printed in PRINTED.items() if printed])
+def test_the_printed_commands_answer_the_question(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """Each is carried out on a shortened copy; the lines of a report pool nothing that matters."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "scenarios").mkdir()
+    (tmp_path / "specs").symlink_to(ROOT / "specs")
+    (tmp_path / "fmus").mkdir()
+    for fmu in FMUS.glob("*.fmu"):
+        (tmp_path / "fmus" / fmu.name).symlink_to(fmu)
+    file = tmp_path / "scenarios" / f"{name}.toml"
+    # A loop that has to settle takes longer; some saturated ones diverge after 0.06 s.
+    stop_time = {"study_design": 3.0, "rivals_attack": 3.0}.get(name, 0.05)
+    file.write_text(reduced(ROOT / "scenarios" / file.name, stop_time), encoding="utf-8")
+    for arguments in PRINTED[name]:
+        more = ["--effort", "0.01", "--objective", "peak"] if arguments[0] == "attack" else []
+        done = command(*arguments, *more)
+        assert done.returncode == 0, done.stderr
+        if arguments[0] == "sweep":
+            assert all(variant.name in done.stdout for variant in load_scenario(file).variants)
+        if "--by" in arguments:
+            header, *lines = done.stdout.splitlines()
+            asked = [by for option, by in itertools.pairwise(arguments) if option == "--by"]
+            first, second, completed, *_ = re.split(r"  +", header)
+            assert (first.split(", "), second, completed) == (asked, "runs", "completed")
+            pooled = 2 if name == "study_rate" else 1  # amplitudes
+            runs = len(open_results(tmp_path / "results" / name).runs)
+            counts = [tuple(re.split(r"  +", line)[1:3]) for line in lines]
+            assert counts == [(str(pooled), str(pooled))] * (runs // pooled)
+        if "--pareto" in arguments:
+            assert "COMPLETED" in done.stdout
 
 
 @pytest.mark.slow

@@ -16,8 +16,9 @@ import pytest
 from congelation.results.record import Outcome
 from congelation.scenario.load import load_scenario
 from congelation.sweep.execute import Job, Task
+from congelation.sweep.local import Local
 from congelation.sweep.plan import plan_study
-from congelation.sweep.workers import Finished, Local, Lost, Progress, Unfinished
+from congelation.sweep.workers import Finished, Lost, Progress, Unfinished
 from tests.scenarios import write
 from tests.studies import is_alive
 
@@ -29,7 +30,7 @@ HEAVY = (*PARTS, "matplotlib", "casadi", "typer", "rich", "congelation.cli")
 
 def test_a_worker_starts_without_what_it_may_not_need() -> None:
     code = (
-        "import sys, congelation.sweep.workers; "
+        "import sys, congelation.sweep.process; "
         f"print([name for name in {HEAVY} if name in sys.modules])"
     )
     found = subprocess.run(
