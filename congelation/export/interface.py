@@ -15,6 +15,7 @@ from congelation.signals import FlatParameter, Profile, Slots, flat_parameters
 from congelation.theory.model import Domain, Model, Parameter, State, Variables
 
 __all__ = [
+    "LEAVE_AT_JUMPS",
     "Interface",
     "ProfileSlots",
     "ScalarVariable",
@@ -51,6 +52,20 @@ class ScalarVariable:
     unit: str = ""
     depends: frozenset[str] = frozenset()
     open: bool = False
+
+
+# A parameter of native FMUs with profiles, behind all other variables. Python FMUs have it not, as
+# pythonfmu cannot tell the last successful time.
+LEAVE_AT_JUMPS = ScalarVariable(
+    "leave_at_jumps",
+    "Boolean",
+    "parameter",
+    "fixed",
+    "exact",
+    False,
+    "Whether fmi2DoStep ends at a jump inside the step: it returns fmi2Discard, and "
+    "fmi2LastSuccessfulTime is the time of the jump",
+)
 
 
 @dataclass(frozen=True)

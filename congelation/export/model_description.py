@@ -11,7 +11,12 @@ import uuid
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
-from congelation.export.interface import Interface, ScalarVariable, StateVariable
+from congelation.export.interface import (
+    LEAVE_AT_JUMPS,
+    Interface,
+    ScalarVariable,
+    StateVariable,
+)
 from congelation.fmi.description import ANNOTATION
 from congelation.fmi.units import base_unit
 
@@ -144,6 +149,19 @@ def add_model_exchange(
         _child(parent[state.derivative_reference], "Real").set(
             "derivative", str(state.reference + 1)
         )
+    if interface.next_event:
+        v = LEAVE_AT_JUMPS
+        attributes = {
+            "name": v.name,
+            "valueReference": str(len(variables)),
+            "description": v.description,
+            "causality": v.causality,
+            "variability": v.variability,
+            "initial": str(v.initial),
+        }
+        element = ElementTree.SubElement(parent, "ScalarVariable", attributes)
+        ElementTree.SubElement(element, v.type, {"start": str(v.start).lower()})
+        variables.append(v)
     root[list(root).index(_child(root, "UnitDefinitions"))] = _units(variables)
     _replace_structure(_child(root, "ModelStructure"), tuple(variables), states)
 

@@ -24,7 +24,12 @@ from congelation.export.equations import (
     equation_blocks,
     tangents_block,
 )
-from congelation.export.interface import Interface, StateVariable, state_variables
+from congelation.export.interface import (
+    LEAVE_AT_JUMPS,
+    Interface,
+    StateVariable,
+    state_variables,
+)
 from congelation.export.model_description import add_model_exchange
 from congelation.export.platforms import Platform, library
 from congelation.export.spec import FmuSpec
@@ -171,6 +176,10 @@ def _tables(model: Model, interface: Interface, states: Sequence[StateVariable])
         for i, s in enumerate(states)
         if s.derivative_reference >= len(interface.variables)
     ]
+    leaving = -1
+    if interface.next_event:
+        leaving = len(constants)
+        rows.append(f"{{\"{LEAVE_AT_JUMPS.name}\", 'B', CONSTANT, {leaving}, 0.0}}")
     parameters = [
         f'{{"{p.variables.name}", {p.domain.name}, {references[0]}, {len(references)}, '
         f"{p.variables.shape[1]}}}"
@@ -193,7 +202,8 @@ def _tables(model: Model, interface: Interface, states: Sequence[StateVariable])
         f"const int VARIABLE_COUNT = {len(rows)}, STATES = {len(states)}, INPUTS = {inputs};",
         f"const int OUTPUTS = {len(interface.outputs)}, DERIVATIVES = {len(differentiated)};",
         f"const int GAINS = {len(interface.gains)}, PROFILES = {len(slots)};",
-        f"const int CONSTANTS = {len(constants)}, PARAMETERS = {len(parameters)};",
+        f"const int CONSTANTS = {max(len(constants), leaving + 1)}, "
+        f"PARAMETERS = {len(parameters)}, LEAVE_AT_JUMPS = {leaving};",
         f"const bool TIMED = {'true' if model.signals is not None else 'false'};",
         *_array("struct variable VARIABLES", rows),
         *_array("struct parameter MODEL_PARAMETERS", parameters or ['{"", REAL, 0, 0, 1}']),

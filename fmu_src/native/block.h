@@ -55,6 +55,7 @@ extern const char MODEL_GUID[];
 extern const unsigned char MODEL_KEY[32]; /* of serialised states */
 extern const int VARIABLE_COUNT, STATES, INPUTS, OUTPUTS, DERIVATIVES, GAINS, PROFILES;
 extern const int CONSTANTS, PARAMETERS;
+extern const int LEAVE_AT_JUMPS; /* a constant, or -1 */
 extern const bool TIMED; /* the equations take time behind signals, and the slopes of signals */
 extern const struct variable VARIABLES[];
 extern const struct parameter MODEL_PARAMETERS[];

@@ -550,16 +550,27 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_se
         return fmi2Error;
     }
     memcpy(in->old_x, in->x, size);
+    /* A step that is left early ends at the first jump inside of it; that at its very end belongs to
+       the next one. What cannot be evaluated is told by the step itself. */
+    double jump = t + h;
+    bool leaves = LEAVE_AT_JUMPS >= 0 && in->constants[LEAVE_AT_JUMPS] != 0.0
+                  && theta_at(in, t, &why) && in->smooth.end - t < h;
+    if (leaves) {
+        jump = in->smooth.end;
+        h = jump - t;
+    }
     if (!advance(in, t, h, &why)) {
         memcpy(in->x, in->old_x, size);
         in->state[INNER_STEP] = old_step;
         report(in, fmi2Discard, "the step from t = %.9g by %.9g is discarded: %s", t, h, why.text);
         return fmi2Discard;
     }
-    in->state[TIME] = t + h;
+    in->state[TIME] = jump;
     in->state[SINCE] = h;
     forget_computed(in);
-    return fmi2OK;
+    if (!leaves) return fmi2OK;
+    report(in, fmi2Discard, "the step from t = %.9g ended at the jump at t = %.9g", t, jump);
+    return fmi2Discard;
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c)

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import fmpy
 import pytest
 
-from tests.fmus.instance import FMUS, Instance, loaded
+from tests.fmus.instance import DISCARD, FMUS, Instance, loaded
 
 NATIVE = FMUS / "native"
 NAMES = sorted(path.stem for path in NATIVE.glob("*.fmu"))
@@ -62,10 +62,10 @@ def test_variables_are_those_of_the_twin(name: str) -> None:
     ]
     shared = len(facts[0])
     assert facts[0] == facts[1][:shared]
-    assert all(
-        name.startswith("der(") and causality == "local"
-        for name, _, _, causality, *_ in facts[1][shared:]
-    )
+    further = facts[1][shared:]
+    if any(name == "next_event" for name, *_ in facts[0]):
+        assert further.pop()[0] == "leave_at_jumps"
+    assert all(n.startswith("der(") and causality == "local" for n, _, _, causality, *_ in further)
     assert one.guid != other.guid
 
 
@@ -198,6 +198,32 @@ def test_a_diverging_step_is_discarded() -> None:
         before = native.get("x")
         assert native.step(0.0, 1e9) == 2
         assert native.get("x") == before
+
+
+def test_a_step_is_left_at_a_jump_on_demand() -> None:
+    """theta jumps at 0.35 and 0.7; the pieces of a step end where the whole one does."""
+    path = NATIVE / "ScalarPlant.fmu"
+    square = {"profile[1].square[1].amplitude": 0.5, "profile[1].square[1].period": 0.7}
+    with loaded(path, count=2) as (whole, parts):
+        whole.start(**square)
+        parts.start(**square, leave_at_jumps=True)
+        for instance in (whole, parts):
+            instance.set(u=0.2)
+        t, times = 0.0, []
+        while t < 0.8:
+            status = parts.step(t, 0.8 - t)
+            t = parts.slave.getRealStatus(2)  # fmi2LastSuccessfulTime
+            times.append((status, t))
+        assert times == [(DISCARD, 0.35), (DISCARD, 0.7), (0, 0.8)]
+        assert whole.step(0.0, 0.8) == 0
+        assert whole.slave.getRealStatus(2) == 0.8
+        for one, other in zip(whole.get(*whole.outputs), parts.get(*whole.outputs), strict=True):
+            assert one == pytest.approx(other, rel=1e-9)
+        # A jump at the very end of a step belongs to the next one.
+        parts.slave.reset()
+        parts.start(**square, leave_at_jumps=True)
+        assert parts.step(0.0, 0.35) == 0
+    assert "ended at the jump at t = 0.35" in parts.errors()[0]
 
 
 def test_a_library_refuses_the_guid_of_another_fmu(tmp_path: Path) -> None:
