@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -74,7 +74,7 @@ def native_fmu(
     Raises
     ------
     InvalidInput
-        The FMU has no native twin: it delays signals, or its profile is a table.
+        The FMU has no native twin: it delays signals.
     CongelationError
         The compiler that is needed is not here, or it failed.
     """
@@ -120,12 +120,6 @@ def _check(fmu: FmuSpec) -> None:
             f"{fmu.name}: a {fmu.run_time} has no native FMU, as its memory grows while it steps; "
             "build it without --native"
         )
-    for j, profile in enumerate(fmu.profiles, start=1):
-        if profile.profile.to_flat(profile.slots).get("table.file", ""):
-            raise InvalidInput(
-                f"{fmu.name}: profile[{j}] is a table, which native FMUs do not read; build it "
-                "without --native"
-            )
 
 
 # -- source ---------------------------------------------------------------------------------------
@@ -194,6 +188,7 @@ def _tables(model: Model, interface: Interface, states: Sequence[StateVariable])
     slots = [
         f'{{"{name}", {place[fields["mean"]]}, '
         + ", ".join(f"{n}, {first}" for n, first in _terms(fields, place))
+        + _table(fields, place, interface)
         + "}"
         for name, fields in interface.profiles.items()
     ]
@@ -218,13 +213,33 @@ def _array(declaration: str, rows: Iterable[str]) -> list[str]:
     return [f"const {declaration}[] = {{", *(f"    {row}," for row in rows), "};"]
 
 
-def _terms(fields: dict[str, int] | object, place: dict[int, int]) -> Iterable[tuple[int, int]]:
+def _terms(fields: Mapping[str, int], place: Mapping[int, int]) -> Iterable[tuple[int, int]]:
     """The number of terms of each kind, and the constant of the first one's first field."""
-    assert isinstance(fields, dict)
     for kind in SLOTTED:
         own = [vr for name, vr in fields.items() if name.startswith(f"{kind}[")]
         count = len({name.split("]")[0] for name in fields if name.startswith(f"{kind}[")})
         yield count, place[min(own)] if own else 0
+
+
+def _table(fields: Mapping[str, int], place: Mapping[int, int], interface: Interface) -> str:
+    """The constants of a table's file and kind, and the file that it starts with."""
+    if "table.file" not in fields:
+        return ', -1, -1, ""'
+    file, linear = fields["table.file"], fields["table.linear"]
+    return f", {place[file]}, {place[linear]}, {_c_string(str(interface.variables[file].start))}"
+
+
+def _c_string(text: str) -> str:
+    """A string literal of the bytes of `text` in UTF-8."""
+    plain = b" !#$%&'()*+,-./:;<=>@[]^_`{|}~"
+    return (
+        '"'
+        + "".join(
+            chr(b) if (chr(b).isalnum() and b < 128) or b in plain else f"\\{b:03o}"
+            for b in text.encode("utf-8")
+        )
+        + '"'
+    )
 
 
 def _gains(model: Model) -> list[str]:

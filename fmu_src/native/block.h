@@ -49,6 +49,8 @@ struct profile_slots {
     int chirps, chirp;         /* amplitude, omega_start, omega_end, duration, phase */
     int telegraphs, telegraph; /* amplitude, rate, seed */
     int noises, noise;         /* deviation, sample_time, seed */
+    int file, linear;          /* of a table, -1 without room for one */
+    const char *start_file;
 };
 
 extern const char MODEL_GUID[];
@@ -118,9 +120,18 @@ struct term {
 
 typedef double sine[3]; /* amplitude, omega, phase */
 
+/* Values at given times, from a file: held from each time to the next, or joined by lines. */
+struct table {
+    int count;
+    bool linear;
+    double *times, *values;
+    double start, held, slope; /* of the piece last asked for */
+};
+
 /* A profile: what holds at all times, and terms with events. */
 struct profile {
-    double held;
+    double held, start;
+    struct table table;
     int sine_count, term_count;
     sine *sines;
     struct term *terms;
@@ -134,18 +145,24 @@ struct smooth {
 };
 
 bool profile_bind(struct profile *profile, const struct profile_slots *slots,
-                  const double *constants, struct reason *why);
+                  const double *constants, const char *file, struct reason *why);
 bool profile_segment(struct profile *profile, double t, double *start, double *end,
                      struct reason *why);
 double profile_value(const struct profile *profile, double t);
 double profile_derivative(const struct profile *profile, double t);
+
+/* table.c: the rows of a CSV file; none of a file called "". */
+bool table_read(struct table *table, const char *name, struct reason *why);
+void table_free(struct table *table);
+void table_piece(struct table *table, double t, double *start, double *end);
 
 /* -- an instance ------------------------------------------------------------------------------ */
 
 /* Of model exchange: EVENT and CONTINUOUS in place of STEPPING. */
 enum mode { INSTANTIATED, INITIALIZATION, STEPPING, EVENT, CONTINUOUS, TERMINATED };
 
-/* The complete state is one array of doubles: these, then x, the inputs and the constants. KIND is
+/* The complete state is one array of doubles: these, then x, the inputs and the constants; behind
+   them the names of files of tables, FILE_SIZE bytes for each profile. KIND is
    fmi2Type. EVENT_TIME is where model exchange last looked for the smooth piece of the profiles,
    which holds until it does so again: solvers evaluate at the very end of a piece, and behind it. */
 enum scalar {
@@ -158,6 +175,7 @@ struct instance {
     bool logging, refused_tolerance;
     /* the state */
     double *state, *x, *inputs, *constants;
+    char *files;
     /* what follows from the constants */
     bool settled, is_bound;
     double *gains, *candidate_gains;
@@ -176,6 +194,18 @@ static inline size_t state_length(void)
 {
     return (size_t)SCALARS + (size_t)STATES + (size_t)(4 * INPUTS)
            + (TIMED ? 0u : (size_t)PROFILES) + (size_t)CONSTANTS;
+}
+
+enum { FILE_SIZE = 512 };
+
+static inline size_t files_size(void) { return (size_t)PROFILES * FILE_SIZE; }
+static inline size_t state_size(void)
+{
+    return state_length() * sizeof(double) + files_size();
+}
+static inline const char *files_of(const double *state)
+{
+    return (const char *)(state + state_length());
 }
 
 static inline enum mode mode_of(const struct instance *in) { return (enum mode)in->state[MODE]; }

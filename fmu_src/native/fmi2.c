@@ -31,8 +31,10 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 static void set_defaults(struct instance *in)
 {
     double kind = in->state[KIND];
-    memset(in->state, 0, state_length() * sizeof(double));
+    memset(in->state, 0, state_size());
     in->state[KIND] = kind;
+    for (int j = 0; j < PROFILES; j++)
+        strncpy(in->files + j * FILE_SIZE, PROFILE_SLOTS[j].start_file, FILE_SIZE - 1);
     in->state[TOLERANCE] = DEFAULT_TOLERANCE;
     in->state[INNER_STEP] = FIRST_STEP;
     for (int vr = 0; vr < VARIABLE_COUNT; vr++)
@@ -59,8 +61,9 @@ static size_t share_out(struct instance *in, char *memory)
         if (memory) pointer = (type *)(void *)(memory + used);              \
         used += ((size_t)(count) * sizeof(type) + 15u) & ~(size_t)15u;      \
     } while (0)
-    TAKE(in->state, double, state_length());
+    TAKE(in->state, double, state_size() / sizeof(double)); /* FILE_SIZE is a multiple of it */
     if (memory) {
+        in->files = (char *)(in->state + state_length());
         in->x = in->state + SCALARS;
         in->inputs = in->x + STATES;
         in->constants = in->inputs + 4 * INPUTS + (TIMED ? 0 : PROFILES);
@@ -143,6 +146,7 @@ void fmi2FreeInstance(fmi2Component c)
 {
     struct instance *in = c;
     if (!in) return;
+    for (int j = 0; j < PROFILES; j++) table_free(&in->profiles[j].table);
     free(in->name);
     free(in);
 }
@@ -280,13 +284,22 @@ fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
     return fmi2OK;
 }
 
+/* The only strings are files of tables; the place of one. */
+static char *file_of(const struct instance *in, const struct variable *variable)
+{
+    int j = 0;
+    while (j + 1 < PROFILES && PROFILE_SLOTS[j].file != variable->index) j++;
+    return in->files + j * FILE_SIZE;
+}
+
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t count,
                          fmi2String value[])
 {
     struct instance *in = c;
     for (size_t i = 0; i < count; i++) {
-        if (!of_type(in, vr[i], 'S')) return fmi2Error;
-        value[i] = "";
+        const struct variable *variable = of_type(in, vr[i], 'S');
+        if (!variable) return fmi2Error;
+        value[i] = file_of(in, variable);
     }
     return fmi2OK;
 }
@@ -376,7 +389,6 @@ fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
     return fmi2OK;
 }
 
-/* The only strings are files of tables, which native FMUs do not read. */
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t count,
                          const fmi2String value[])
 {
@@ -384,13 +396,14 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
     for (size_t i = 0; i < count; i++) {
         const struct variable *variable = settable(in, vr[i], 'S');
         if (!variable) return fmi2Error;
-        if (value[i] && *value[i]) {
-            report(in, fmi2Error,
-                   "%s = '%s' is refused: a native FMU reads no tables; use the Python FMU, or "
-                   "the input dtheta",
-                   variable->name, value[i]);
+        if (!value[i] || strlen(value[i]) >= FILE_SIZE) {
+            report(in, fmi2Error, "%s is refused: it must be a string of at most %d bytes",
+                   variable->name, FILE_SIZE - 1);
             return fmi2Error;
         }
+        strcpy(memset(file_of(in, variable), 0, FILE_SIZE), value[i]);
+        in->settled = false;
+        forget_computed(in);
     }
     return fmi2OK;
 }
@@ -618,10 +631,10 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2S
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
     struct instance *in = c;
-    if (!*state) *state = malloc(state_length() * sizeof(double));
+    if (!*state) *state = malloc(state_size());
     if (!*state) return unsupported(in, "fmi2GetFMUstate: there is no memory left");
     if (!in->settled) settle(in); /* so that x are the start values */
-    memcpy(*state, in->state, state_length() * sizeof(double));
+    memcpy(*state, in->state, state_size());
     return fmi2OK;
 }
 
@@ -635,14 +648,15 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
                                "or model exchange");
     constants = given + (in->constants - in->state);
     bool same = in->settled
-                && memcmp(constants, in->constants, (size_t)CONSTANTS * sizeof(double)) == 0;
-    memcpy(in->state, given, state_length() * sizeof(double));
+                && memcmp(constants, in->constants, (size_t)CONSTANTS * sizeof(double)) == 0
+                && memcmp(files_of(given), in->files, files_size()) == 0;
+    memcpy(in->state, given, state_size());
     forget_computed(in);
     if (!same) {
         /* Binding sets x to the start values, so the state is copied once more. Parameters that
            were refused before are refused again when they are needed. */
         in->settled = false;
-        if (settle(in)) memcpy(in->state, given, state_length() * sizeof(double));
+        if (settle(in)) memcpy(in->state, given, state_size());
     }
     return fmi2OK;
 }
@@ -677,7 +691,7 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size
                                    fmi2FMUstate *state)
 {
     struct instance *in = c;
-    double *read = malloc(state_length() * sizeof(double));
+    double *read = malloc(state_size());
     if (!read) return unsupported(in, "fmi2DeSerializeFMUstate: there is no memory left");
     const char *fault = deserialize((const unsigned char *)bytes, size, read);
     if (fault) {

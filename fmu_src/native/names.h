@@ -64,11 +64,14 @@
 #define exact_multiply OWN(exact_multiply)
 #define exact_divide OWN(exact_divide)
 
-/* profiles.c, log.c, parameters.c, variables.c, integrator.c, state.c */
+/* profiles.c, table.c, log.c, parameters.c, variables.c, integrator.c, state.c */
 #define profile_bind OWN(profile_bind)
 #define profile_segment OWN(profile_segment)
 #define profile_value OWN(profile_value)
 #define profile_derivative OWN(profile_derivative)
+#define table_read OWN(table_read)
+#define table_free OWN(table_free)
+#define table_piece OWN(table_piece)
 #define report OWN(report)
 #define illegal OWN(illegal)
 #define explain OWN(explain)

@@ -1,4 +1,5 @@
-/* A head (format, key of the model, checksum of the body), then the numbers, little-endian. */
+/* A head (format, key of the model, checksum of the body), then the numbers, little-endian, and the
+   names of files. */
 
 #include <math.h>
 #include <string.h>
@@ -28,7 +29,7 @@ static uint64_t checksum(const unsigned char *bytes, size_t size)
     return hash;
 }
 
-size_t serialized_size(void) { return HEAD + NUMBER * state_length(); }
+size_t serialized_size(void) { return HEAD + NUMBER * state_length() + files_size(); }
 
 void serialize(const double *state, unsigned char *bytes)
 {
@@ -37,9 +38,10 @@ void serialize(const double *state, unsigned char *bytes)
         memcpy(&bits, state + i, sizeof bits);
         write_number(bits, bytes + HEAD + NUMBER * i);
     }
+    memcpy(bytes + HEAD + NUMBER * state_length(), files_of(state), files_size());
     memcpy(bytes, MAGIC, FORMAT);
     memcpy(bytes + FORMAT, MODEL_KEY, KEY);
-    write_number(checksum(bytes + HEAD, NUMBER * state_length()), bytes + FORMAT + KEY);
+    write_number(checksum(bytes + HEAD, serialized_size() - HEAD), bytes + FORMAT + KEY);
 }
 
 /* Whether an instance could have come to be in this state. */
@@ -47,6 +49,8 @@ static bool is_possible(const double *s)
 {
     for (size_t i = 0; i < state_length(); i++)
         if (!isfinite(s[i])) return false;
+    for (int j = 0; j < PROFILES; j++)
+        if (!memchr(files_of(s) + j * FILE_SIZE, '\0', FILE_SIZE)) return false;
     bool exchanges = s[KIND] == (double)fmi2ModelExchange;
     return (exchanges || s[KIND] == (double)fmi2CoSimulation)
            && (s[MODE] == INSTANTIATED || s[MODE] == INITIALIZATION || s[MODE] == TERMINATED
@@ -68,5 +72,6 @@ const char *deserialize(const unsigned char *bytes, size_t size, double *state)
         uint64_t bits = read_number(bytes + HEAD + NUMBER * i);
         memcpy(state + i, &bits, sizeof bits);
     }
+    memcpy(state + state_length(), bytes + HEAD + NUMBER * state_length(), files_size());
     return is_possible(state) ? NULL : "a serialised state that was altered";
 }

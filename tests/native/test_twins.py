@@ -105,6 +105,67 @@ def test_every_term_of_a_profile_is_equal_to_the_last_bit(name: str) -> None:
         assert all(_same(a, b) for a, b in zip(*rows, strict=True))
 
 
+ROWS = """time,value  # a header
+-0.1, 0.25
+0.2,1_0.5e-1 # a comment
+
+0.35,-1.5e-1
+0.5 , 0.0625
+1.1,.5
+"""
+
+
+@pytest.mark.parametrize("linear", [True, False])
+@pytest.mark.parametrize("name", ["ScalarPlant", "Disturbance"])
+def test_a_table_is_equal_to_the_last_bit(name: str, linear: bool, tmp_path: Path) -> None:
+    file = tmp_path / "table.csv"
+    file.write_text("\ufeff" + ROWS.replace("\n", "\r\n"), "utf-8")
+    table = {"profile[1].table.file": str(file), "profile[1].table.linear": linear}
+    one, other = _both(name)
+    with one as (python,), other as (native,):
+        rows = [_drive(instance, 3, **PROFILE, **table) for instance in (python, native)]
+        assert all(_same(a, b) for a, b in zip(*rows, strict=True))
+        references = [native.references["profile[1].table.file"]]
+        assert native.slave.getString(references) == [str(file).encode()]
+        # The state holds the name of the file, from which another instance reads it.
+        data = native.slave.serializeFMUstate(native.slave.getFMUstate())
+        expected = native.get(*native.outputs)
+        native.slave.reset()
+        assert native.slave.getString(references) == [b""]
+        native.slave.setFMUstate(native.slave.deSerializeFMUstate(data))
+        assert native.get(*native.outputs) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (None, "No such file or directory"),
+        ("", "no rows; expected two columns time,value"),
+        ("time,value\n", "no rows; expected two columns time,value"),
+        ("0,1\n1,2,3\n", "line 2: '1,2,3' is not time,value (two finite numbers)"),
+        ("time,value\n\ntime,value\n", "line 3: 'time,value' is not time,value"),
+        ("0,inf\n", "line 1: '0,inf' is not time,value"),
+        ("1,0\n0.5,1\n", "line 2: time 0.5 does not come after 1.0"),
+        ("0,1e308\n1e-3,-1e308\n", "line 2: the step from 1e+308 to -1e+308 is beyond double"),
+    ],
+)
+def test_a_bad_table_is_refused_as_by_the_twin(text: str | None, says: str, tmp_path: Path) -> None:
+    file = tmp_path / "table.csv"
+    if text is not None:
+        file.write_text(text, "utf-8")
+    one, other = _both("ScalarPlant")
+    with one as (python,), other as (native,):
+        python.start(**{"profile[1].table.file": str(file)})
+        with pytest.raises(Exception, match="fmi2ExitInitializationMode"):
+            native.start(**{"profile[1].table.file": str(file)})
+        for instance in (python, native):
+            assert f"profile[1]: table.file: table file '{file}'" in instance.errors()[0]
+            assert says in instance.errors()[0]
+        with pytest.raises(Exception, match="fmi2SetString"):
+            native.slave.reset()
+            native.assign({"profile[1].table.file": "x" * 512})
+
+
 def test_gains_are_equal_to_the_last_bit() -> None:
     one, other = _both("OutputFeedbackController")
     draw = random.Random(11)
