@@ -16,7 +16,6 @@ from xml.etree import ElementTree
 
 import fmpy
 
-from congelation.errors import InvalidInput
 from congelation.export.archive import write_archive
 from congelation.export.equations import (
     Special,
@@ -25,9 +24,10 @@ from congelation.export.equations import (
     tangents_block,
 )
 from congelation.export.interface import (
-    LEAVE_AT_JUMPS,
     Interface,
     StateVariable,
+    delays,
+    native_parameters,
     state_variables,
 )
 from congelation.export.model_description import add_model_exchange
@@ -73,12 +73,9 @@ def native_fmu(
 
     Raises
     ------
-    InvalidInput
-        The FMU has no native twin: it delays signals.
     CongelationError
         The compiler that is needed is not here, or it failed.
     """
-    _check(fmu)
     about = staged.about.read_bytes()
     headers = Path(fmpy.__file__).parent / "c-code"
     layer = {
@@ -99,7 +96,7 @@ def native_fmu(
     model = (body + "\n".join(identity) + "\n").encode("utf-8")
     code = {**layer, _MODEL: model}
     files = [name for name in sorted(code) if name.endswith(".c")]
-    xml, identifier = _description(description, guid, files, staged.interface, states)
+    xml, identifier = _description(description, guid, files, fmu.model, staged.interface, states)
     entries = {
         "documentation/index.html": (staged.documentation / "index.html").read_bytes(),
         "documentation/licenses/license.txt": (sources / "native" / "licenses.txt").read_bytes(),
@@ -112,14 +109,6 @@ def native_fmu(
         **{f"sources/{name}": data for name, data in code.items()},
     }
     write_archive(target, [("modelDescription.xml", xml), *sorted(entries.items())])
-
-
-def _check(fmu: FmuSpec) -> None:
-    if fmu.run_time not in ("block", "driven"):
-        raise InvalidInput(
-            f"{fmu.name}: a {fmu.run_time} has no native FMU, as its memory grows while it steps; "
-            "build it without --native"
-        )
 
 
 # -- source ---------------------------------------------------------------------------------------
@@ -170,10 +159,11 @@ def _tables(model: Model, interface: Interface, states: Sequence[StateVariable])
         for i, s in enumerate(states)
         if s.derivative_reference >= len(interface.variables)
     ]
-    leaving = -1
-    if interface.next_event:
-        leaving = len(constants)
-        rows.append(f"{{\"{LEAVE_AT_JUMPS.name}\", 'B', CONSTANT, {leaving}, 0.0}}")
+    own = {v.name: len(constants) + i for i, v in enumerate(native_parameters(model, interface))}
+    rows += [
+        f"{{\"{v.name}\", '{v.type[0]}', CONSTANT, {own[v.name]}, {float(v.start or 0)!r}}}"
+        for v in native_parameters(model, interface)
+    ]
     parameters = [
         f'{{"{p.variables.name}", {p.domain.name}, {references[0]}, {len(references)}, '
         f"{p.variables.shape[1]}}}"
@@ -197,8 +187,9 @@ def _tables(model: Model, interface: Interface, states: Sequence[StateVariable])
         f"const int VARIABLE_COUNT = {len(rows)}, STATES = {len(states)}, INPUTS = {inputs};",
         f"const int OUTPUTS = {len(interface.outputs)}, DERIVATIVES = {len(differentiated)};",
         f"const int GAINS = {len(interface.gains)}, PROFILES = {len(slots)};",
-        f"const int CONSTANTS = {max(len(constants), leaving + 1)}, "
-        f"PARAMETERS = {len(parameters)}, LEAVE_AT_JUMPS = {leaving};",
+        f"const int CONSTANTS = {len(constants) + len(own)}, PARAMETERS = {len(parameters)};",
+        f"const int LEAVE_AT_JUMPS = {own.get('leave_at_jumps', -1)};",
+        _delayed(model, interface, place, own),
         f"const bool TIMED = {'true' if model.signals is not None else 'false'};",
         *_array("struct variable VARIABLES", rows),
         *_array("struct parameter MODEL_PARAMETERS", parameters or ['{"", REAL, 0, 0, 1}']),
@@ -219,6 +210,19 @@ def _terms(fields: Mapping[str, int], place: Mapping[int, int]) -> Iterable[tupl
         own = [vr for name, vr in fields.items() if name.startswith(f"{kind}[")]
         count = len({name.split("]")[0] for name in fields if name.startswith(f"{kind}[")})
         yield count, place[min(own)] if own else 0
+
+
+def _delayed(
+    model: Model, interface: Interface, place: Mapping[int, int], own: Mapping[str, int]
+) -> str:
+    """How many inputs are delayed, and the constants for it."""
+    if not delays(model):
+        return "const int DELAYED = 0, DELAY = -1, BEFORE = -1, CAPACITY = -1;"
+    (delay,), before = interface.parameters["delay"], interface.parameters["before"]
+    return (
+        f"const int DELAYED = {len(before)}, DELAY = {place[delay]}, "
+        f"BEFORE = {place[before[0]]}, CAPACITY = {own['capacity']};"
+    )
 
 
 def _table(fields: Mapping[str, int], place: Mapping[int, int], interface: Interface) -> str:
@@ -382,6 +386,7 @@ def _description(
     xml: bytes,
     guid: str,
     files: Sequence[str],
+    model: Model,
     interface: Interface,
     states: tuple[StateVariable, ...],
 ) -> tuple[bytes, str]:
@@ -390,7 +395,7 @@ def _description(
     root = ElementTree.fromstring(xml)
     root.set("guid", guid)
     root.set("generationTool", str(root.get("generationTool")).split(" with ")[0] + " (native)")
-    add_model_exchange(root, interface, states)
+    add_model_exchange(root, model, interface, states)
     identifier = ""
     for kind in (*root.iterfind("ModelExchange"), *root.iterfind("CoSimulation")):
         identifier = str(kind.get("modelIdentifier"))

@@ -58,6 +58,9 @@ extern const unsigned char MODEL_KEY[32]; /* of serialised states */
 extern const int VARIABLE_COUNT, STATES, INPUTS, OUTPUTS, DERIVATIVES, GAINS, PROFILES;
 extern const int CONSTANTS, PARAMETERS;
 extern const int LEAVE_AT_JUMPS; /* a constant, or -1 */
+/* How many inputs are delayed, and the constants for it: the delay, the outputs before the first
+   inputs come out, and how many steps are remembered at most. */
+extern const int DELAYED, DELAY, BEFORE, CAPACITY;
 extern const bool TIMED; /* the equations take time behind signals, and the slopes of signals */
 extern const struct variable VARIABLES[];
 extern const struct parameter MODEL_PARAMETERS[];
@@ -162,11 +165,21 @@ void table_piece(struct table *table, double t, double *start, double *end);
 enum mode { INSTANTIATED, INITIALIZATION, STEPPING, EVENT, CONTINUOUS, TERMINATED };
 
 /* The complete state is one array of doubles: these, then x, the inputs and the constants; behind
-   them the names of files of tables, FILE_SIZE bytes for each profile. KIND is
+   them the names of files of tables, FILE_SIZE bytes for each profile; in a saved state also PIECES
+   pieces of the memory of a delay, oldest first. KIND is
    fmi2Type. EVENT_TIME is where model exchange last looked for the smooth piece of the profiles,
    which holds until it does so again: solvers evaluate at the very end of a piece, and behind it. */
 enum scalar {
-    MODE, TIME, HAS_STOP, STOP_TIME, TOLERANCE, INNER_STEP, SINCE, KIND, EVENT_TIME, SCALARS
+    MODE, TIME, HAS_STOP, STOP_TIME, TOLERANCE, INNER_STEP, SINCE, KIND, EVENT_TIME, PIECES, SCALARS
+};
+
+/* A piece of the memory of a delay: one step, whether the inputs jump at its start, their largest
+   value until then, and behind these the cubic of each input. */
+enum piece_field { START, LENGTH, JUMPS, LARGEST, CUBICS };
+/* Of which the memory is a ring. */
+struct ring {
+    double *pieces;
+    size_t capacity, first;
 };
 
 struct instance {
@@ -182,6 +195,7 @@ struct instance {
     void *bound;
     struct profile *profiles;
     struct smooth smooth;
+    struct ring ring;
     /* what follows from the state */
     bool outputs_known, derivatives_known, rates_known;
     double *outputs, *derivatives, *rates;
@@ -198,11 +212,19 @@ static inline size_t state_length(void)
 
 enum { FILE_SIZE = 512 };
 
+/* What the equations take for theta: profiles or delayed inputs, and with TIMED time behind them. */
+static inline int signals(void) { return PROFILES + DELAYED; }
+static inline size_t piece_length(void) { return CUBICS + 4u * (size_t)DELAYED; }
 static inline size_t files_size(void) { return (size_t)PROFILES * FILE_SIZE; }
 static inline size_t state_size(void)
 {
     return state_length() * sizeof(double) + files_size();
 }
+static inline size_t saved_size(const double *state)
+{
+    return state_size() + (size_t)state[PIECES] * piece_length() * sizeof(double);
+}
+static inline double *pieces_of(double *state) { return state + state_size() / sizeof(double); }
 static inline const char *files_of(const double *state)
 {
     return (const char *)(state + state_length());
@@ -232,14 +254,22 @@ bool computed_value(struct instance *instance, const struct variable *variable, 
 bool computed_rates(struct instance *instance);
 void forget_computed(struct instance *instance);
 
+/* delay.c: the memory of a delay, in place of states. */
+bool ring_open(struct instance *instance, struct reason *why);
+void ring_copy(const struct instance *instance, double *pieces);
+void ring_set(struct instance *instance, const double *pieces, size_t count);
+void delayed_values(struct instance *instance, bool slopes);
+double delayed_event(struct instance *instance);
+bool delayed_step(struct instance *instance, double t, double h, struct reason *why);
+
 /* integrator.c: x from t over h; false, with x and the inner step undone by the caller. */
 bool advance(struct instance *instance, double t, double h, struct reason *why);
 
 /* state.c: the complete state as bytes, the same on every machine */
-size_t serialized_size(void);
+size_t serialized_size(const double *state);
 void serialize(const double *state, unsigned char *bytes);
-/* NULL, or what is wrong with the bytes. */
-const char *deserialize(const unsigned char *bytes, size_t size, double *state);
+/* A new state; NULL, and what is wrong, otherwise. */
+double *deserialize(const unsigned char *bytes, size_t size, const char **fault);
 
 #if defined(__GNUC__) && !defined(_WIN32)
 #pragma GCC visibility pop

@@ -80,9 +80,9 @@ static size_t share_out(struct instance *in, char *memory)
     TAKE(in->old_x, double, STATES);
     TAKE(in->v, double, INPUTS);
     TAKE(in->slopes, double, INPUTS);
-    TAKE(in->theta, double, 2 * PROFILES + 1);
+    TAKE(in->theta, double, 2 * signals() + 1);
     TAKE(in->cubics, double, 4 * INPUTS);
-    TAKE(in->seeds, double, STATES + 2 * INPUTS + 2 * PROFILES + 1);
+    TAKE(in->seeds, double, STATES + 2 * INPUTS + 2 * signals() + 1);
     TAKE(in->tangents, double, STATES + OUTPUTS + DERIVATIVES);
     TAKE(in->profiles, struct profile, PROFILES);
     for (int j = 0; j < PROFILES; j++) {
@@ -119,6 +119,11 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
                guid ? guid : "missing", MODEL_GUID);
         return NULL;
     }
+    if (type == fmi2ModelExchange && DELAYED) {
+        unsupported(&asking, "fmi2Instantiate: a delay is for co-simulation alone, as model exchange "
+                             "does not say what an input is between two times");
+        return NULL;
+    }
     if (type != fmi2CoSimulation && type != fmi2ModelExchange) {
         unsupported(&asking, "fmi2Instantiate: the type is neither fmi2CoSimulation nor "
                              "fmi2ModelExchange");
@@ -147,6 +152,7 @@ void fmi2FreeInstance(fmi2Component c)
     struct instance *in = c;
     if (!in) return;
     for (int j = 0; j < PROFILES; j++) table_free(&in->profiles[j].table);
+    free(in->ring.pieces);
     free(in->name);
     free(in);
 }
@@ -498,7 +504,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     if (!in->settled && !settle(in)) return unsupported(in, in->parameter_fault.text);
     if (!values_now(in, true, &why)) return unsupported(in, why.text);
     double *x = in->seeds, *v = x + STATES, *d = v + INPUTS, *theta = d + INPUTS, none;
-    memset(x, 0, (size_t)(STATES + 2 * INPUTS + 2 * PROFILES + 1) * sizeof(double));
+    memset(x, 0, (size_t)(STATES + 2 * INPUTS + 2 * signals() + 1) * sizeof(double));
     for (size_t i = 0; i < knowns; i++) {
         double *place = seed_of(in, known[i], &none);
         if (!place) return fmi2Error;
@@ -558,6 +564,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_se
     double old_step = in->state[INNER_STEP];
     (void)no_set_state;
     if (mode_of(in) != STEPPING) return illegal(in, "fmi2DoStep");
+    if (!in->settled && !settle(in)) return unsupported(in, in->parameter_fault.text);
     if (!may_step(in, t, h, &why)) {
         report(in, fmi2Error, "the step from t = %.9g by %.9g is refused: %s", t, h, why.text);
         return fmi2Error;
@@ -567,9 +574,11 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_se
        the next one. What cannot be evaluated is told by the step itself. */
     double jump = t + h;
     bool leaves = LEAVE_AT_JUMPS >= 0 && in->constants[LEAVE_AT_JUMPS] != 0.0
-                  && theta_at(in, t, &why) && in->smooth.end - t < h;
+                  && values_now(in, false, &why);
+    double event = leaves && DELAYED ? delayed_event(in) : in->smooth.end;
+    leaves = leaves && t < event && event - t < h;
     if (leaves) {
-        jump = in->smooth.end;
+        jump = event;
         h = jump - t;
     }
     if (!advance(in, t, h, &why)) {
@@ -631,17 +640,21 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2S
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
     struct instance *in = c;
-    if (!*state) *state = malloc(state_size());
-    if (!*state) return unsupported(in, "fmi2GetFMUstate: there is no memory left");
     if (!in->settled) settle(in); /* so that x are the start values */
-    memcpy(*state, in->state, state_size());
+    /* A former state has its room but where a delay remembers more now. */
+    double *room = *state;
+    if (!room || saved_size(room) < saved_size(in->state)) room = realloc(room, saved_size(in->state));
+    if (!room) return unsupported(in, "fmi2GetFMUstate: there is no memory left");
+    *state = memcpy(room, in->state, state_size());
+    if (DELAYED) ring_copy(in, pieces_of(room));
     return fmi2OK;
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
 {
     struct instance *in = c;
-    const double *given = state, *constants;
+    double *given = state;
+    const double *constants;
     if (!state) return unsupported(in, "fmi2SetFMUstate: the state is NULL");
     if (given[KIND] != in->state[KIND])
         return unsupported(in, "fmi2SetFMUstate: the state is one of the other kind, co-simulation "
@@ -658,6 +671,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
         in->settled = false;
         if (settle(in)) memcpy(in->state, given, state_size());
     }
+    if (DELAYED) ring_set(in, pieces_of(given), in->settled ? (size_t)given[PIECES] : 0);
     return fmi2OK;
 }
 
@@ -674,13 +688,13 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
 {
     if (!state) return unsupported(c, "fmi2SerializedFMUstateSize: the state is NULL");
-    *size = serialized_size();
+    *size = serialized_size(state);
     return fmi2OK;
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 {
-    if (!state || size < serialized_size())
+    if (!state || size < serialized_size(state))
         return unsupported(c, "fmi2SerializeFMUstate: the state is NULL, or the size is less than "
                               "that of fmi2SerializedFMUstateSize");
     serialize(state, (unsigned char *)bytes);
@@ -691,12 +705,10 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size
                                    fmi2FMUstate *state)
 {
     struct instance *in = c;
-    double *read = malloc(state_size());
-    if (!read) return unsupported(in, "fmi2DeSerializeFMUstate: there is no memory left");
-    const char *fault = deserialize((const unsigned char *)bytes, size, read);
-    if (fault) {
-        free(read);
-        report(in, fmi2Error, "the state is refused: it is %s", fault);
+    const char *fault = NULL;
+    double *read = deserialize((const unsigned char *)bytes, size, &fault);
+    if (!read) {
+        report(in, fmi2Error, "the state is refused: %s", fault);
         return fmi2Error;
     }
     *state = read;

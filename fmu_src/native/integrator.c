@@ -125,6 +125,7 @@ static bool integrate(struct instance *in, double t, double start, double end, s
 bool advance(struct instance *in, double t, double h, struct reason *why)
 {
     double start = 0.0, now = t;
+    if (DELAYED) return delayed_step(in, t, h, why);
     if (STATES == 0) return true;
     input_cubics(in);
     if (PROFILES == 0) return integrate(in, t, 0.0, h, why);

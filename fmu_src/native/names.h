@@ -35,6 +35,10 @@
 #define CONSTANTS OWN(CONSTANTS)
 #define PARAMETERS OWN(PARAMETERS)
 #define LEAVE_AT_JUMPS OWN(LEAVE_AT_JUMPS)
+#define DELAYED OWN(DELAYED)
+#define DELAY OWN(DELAY)
+#define BEFORE OWN(BEFORE)
+#define CAPACITY OWN(CAPACITY)
 #define TIMED OWN(TIMED)
 #define VARIABLES OWN(VARIABLES)
 #define MODEL_PARAMETERS OWN(MODEL_PARAMETERS)
@@ -64,7 +68,7 @@
 #define exact_multiply OWN(exact_multiply)
 #define exact_divide OWN(exact_divide)
 
-/* profiles.c, table.c, log.c, parameters.c, variables.c, integrator.c, state.c */
+/* profiles.c, table.c, delay.c, log.c, parameters.c, variables.c, integrator.c, state.c */
 #define profile_bind OWN(profile_bind)
 #define profile_segment OWN(profile_segment)
 #define profile_value OWN(profile_value)
@@ -72,6 +76,12 @@
 #define table_read OWN(table_read)
 #define table_free OWN(table_free)
 #define table_piece OWN(table_piece)
+#define ring_open OWN(ring_open)
+#define ring_copy OWN(ring_copy)
+#define ring_set OWN(ring_set)
+#define delayed_values OWN(delayed_values)
+#define delayed_event OWN(delayed_event)
+#define delayed_step OWN(delayed_step)
 #define report OWN(report)
 #define illegal OWN(illegal)
 #define explain OWN(explain)

@@ -85,6 +85,7 @@ bool values_now(struct instance *in, bool slopes, struct reason *why)
         for (int j = 0; TIMED && slopes && j < PROFILES; j++)
             in->theta[PROFILES + 1 + j] = profile_derivative(in->profiles + j, t);
     }
+    if (DELAYED) delayed_values(in, slopes);
     if (s != 0.0) input_cubics(in);
     for (int i = 0; i < INPUTS; i++) {
         const double *c = in->cubics + 4 * i;
@@ -148,7 +149,9 @@ bool computed_value(struct instance *in, const struct variable *variable, double
     case GAIN: *value = in->gains[i]; return true;
     default:
         if (!evaluate(in, variable->role)) return false;
-        *value = variable->role == THETA ? in->theta[i] : in->smooth.end;
+        *value = variable->role == THETA ? in->theta[i]
+                 : DELAYED               ? delayed_event(in)
+                                         : in->smooth.end;
         return true;
     }
 }

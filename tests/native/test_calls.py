@@ -17,7 +17,7 @@ import pytest
 
 from tests.native.test_twins import NATIVE
 
-CHECKED = ("ObserverFormPlant", "OutputFeedbackController", "Reference")
+CHECKED = ("ObserverFormPlant", "OutputFeedbackController", "Reference", "Delay")
 FLAGS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 CALLS = 20_000
 

@@ -63,8 +63,10 @@ def test_variables_are_those_of_the_twin(name: str) -> None:
     shared = len(facts[0])
     assert facts[0] == facts[1][:shared]
     further = facts[1][shared:]
-    if any(name == "next_event" for name, *_ in facts[0]):
-        assert further.pop()[0] == "leave_at_jumps"
+    own = ["leave_at_jumps"] if any(name == "next_event" for name, *_ in facts[0]) else []
+    own += ["capacity"] if name == "Delay" else []
+    assert [row[0] for row in further[len(further) - len(own) :]] == own
+    further = further[: len(further) - len(own)]
     assert all(n.startswith("der(") and causality == "local" for n, _, _, causality, *_ in further)
     assert one.guid != other.guid
 
@@ -161,8 +163,8 @@ def test_a_bad_table_is_refused_as_by_the_twin(text: str | None, says: str, tmp_
         for instance in (python, native):
             assert f"profile[1]: table.file: table file '{file}'" in instance.errors()[0]
             assert says in instance.errors()[0]
+        native.slave.reset()
         with pytest.raises(Exception, match="fmi2SetString"):
-            native.slave.reset()
             native.assign({"profile[1].table.file": "x" * 512})
 
 
@@ -285,6 +287,53 @@ def test_a_step_is_left_at_a_jump_on_demand() -> None:
         parts.start(**square, leave_at_jumps=True)
         assert parts.step(0.0, 0.35) == 0
     assert "ended at the jump at t = 0.35" in parts.errors()[0]
+
+
+def test_a_delay_remembers_as_the_twin() -> None:
+    """Steps longer and shorter than the delay, jumps that are announced, and a memory that goes
+    round its ring many times."""
+    with (
+        loaded(FMUS / "Delay.fmu") as (python,),
+        loaded(NATIVE / "Delay.fmu", count=2) as (native, copy),
+    ):
+        python.start(delay=0.13)
+        native.start(delay=0.13, capacity=40)
+        draw, t, steps = random.Random(2), 0.0, 0
+        names = native.outputs
+        while steps < 400:
+            h = draw.choice((0.004, 0.01, 0.01, 0.05, 0.3))
+            value = draw.choice((0.0, 1.0, draw.uniform(-1.0, 1.0)))
+            values = {"u[1]": value, "der(u[1])": 1.5, "der(u[1],2)": -2.0, "der(u[1],3)": 9.0}
+            for instance in (python, native):
+                instance.assign(values if steps % 3 else {"u[1]": value})
+            assert _same(python.get(*names), native.get(*names))
+            assert (python.step(t, h), native.step(t, h)) == (0, 0)
+            assert _same(python.get(*names), native.get(*names))
+            t, steps = t + h, steps + 1
+            if steps % 50 == 0:
+                data = native.slave.serializeFMUstate(native.slave.getFMUstate())
+                copy.slave.setFMUstate(copy.slave.deSerializeFMUstate(data))
+                assert _same(copy.get(*names), native.get(*names))
+                native, copy = copy, native
+
+
+def test_a_delay_refuses_what_its_capacity_does_not_hold() -> None:
+    with loaded(NATIVE / "Delay.fmu") as (native,):
+        native.start(capacity=3, delay=1.0)
+        assert [native.step(k * 0.25, 0.25) for k in range(4)] == [0, 0, 0, DISCARD]
+        assert native.step(0.75, 2.0) == 0
+        assert "holds more than 3 steps of this length" in native.errors()[0]
+        native.slave.reset()
+        with pytest.raises(Exception, match="fmi2ExitInitializationMode"):
+            native.start(capacity=0)
+        assert "capacity = 0 is refused: it must be positive" in native.errors()[1]
+        # What comes out jumps at 1; a step ends there on demand.
+        native.slave.reset()
+        native.start(delay=1.0, leave_at_jumps=True, **{"before[1]": -1.0})
+        native.assign({"u[1]": 0.5})
+        assert native.step(0.0, 5.0) == DISCARD
+        assert native.slave.getRealStatus(2) == 1.0
+        assert native.get("y[1]") == [0.5]
 
 
 def test_a_library_refuses_the_guid_of_another_fmu(tmp_path: Path) -> None:
