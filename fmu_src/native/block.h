@@ -141,10 +141,12 @@ struct profile {
     struct piece *pieces;
 };
 
-/* All profiles on one smooth piece. */
+/* All profiles on one smooth piece, and their values at the time last asked for: a step begins at
+   the time at which the one before ended, and outputs are read there. */
 struct smooth {
     double start, end;
     bool known;
+    double at, *values; /* `at` is NaN without values */
 };
 
 bool profile_bind(struct profile *profile, const struct profile_slots *slots,

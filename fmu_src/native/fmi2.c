@@ -81,6 +81,7 @@ static size_t share_out(struct instance *in, char *memory)
     TAKE(in->v, double, INPUTS);
     TAKE(in->slopes, double, INPUTS);
     TAKE(in->theta, double, 2 * signals() + 1);
+    TAKE(in->smooth.values, double, PROFILES);
     TAKE(in->cubics, double, 4 * INPUTS);
     TAKE(in->seeds, double, STATES + 2 * INPUTS + 2 * signals() + 1);
     TAKE(in->tangents, double, STATES + OUTPUTS + DERIVATIVES);

@@ -15,6 +15,7 @@ bool theta_at(struct instance *in, double t, struct reason *why)
     struct smooth *smooth = &in->smooth;
     if (smooth->known && smooth->start <= t && t < smooth->end) return true;
     smooth->known = false;
+    smooth->at = NAN;
     smooth->start = -INFINITY;
     smooth->end = INFINITY;
     for (int j = 0; j < PROFILES; j++) {
@@ -31,9 +32,12 @@ bool theta_at(struct instance *in, double t, struct reason *why)
 void theta_values(struct instance *in, double t)
 {
     const double *dtheta = in->inputs + 4 * INPUTS;
+    struct smooth *smooth = &in->smooth;
+    if (t != smooth->at)
+        for (int j = 0; j < PROFILES; j++) smooth->values[j] = profile_value(in->profiles + j, t);
+    smooth->at = t;
     for (int j = 0; j < PROFILES; j++)
-        in->theta[j] = TIMED ? profile_value(in->profiles + j, t)
-                             : profile_value(in->profiles + j, t) + dtheta[j];
+        in->theta[j] = TIMED ? smooth->values[j] : smooth->values[j] + dtheta[j];
     if (TIMED) in->theta[PROFILES] = t;
 }
 

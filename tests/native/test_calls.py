@@ -33,6 +33,7 @@ def compiled(folder: Path, name: str, flags: tuple[str, ...]) -> Path:
     sources = Path(fmpy.extract(str(NATIVE / f"{name}.fmu"), str(folder))) / "sources"
     files = [str(Path(__file__).with_name("calls.c")), *map(str, sorted(sources.glob("*.c")))]
     program = folder / "calls"
+    (folder / "table.csv").write_text("time,value\n0,1\n0.013,-0.5\n0.05,2\n", "utf-8")
     subprocess.run(["gcc", *flags, f"-I{sources}", *files, "-lm", "-o", str(program)], check=True)
     return program
 
@@ -45,6 +46,7 @@ def run(
     variables = len(description.modelVariables)
     done = subprocess.run(
         [*under, str(program), description.guid, str(variables), str(seed), str(calls)],
+        cwd=program.parent,
         capture_output=True,
         text=True,
         timeout=300,
