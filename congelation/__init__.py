@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from congelation.export.spec import Spec
     from congelation.results.results import Results, open_results
     from congelation.scenario.load import load_scenario
-    from congelation.scenario.parts import Variant
+    from congelation.scenario.parts import MetricSpec, Variant
     from congelation.scenario.scenario import Scenario
     from congelation.scenario.ssp import write_ssp as export_ssp
     from congelation.sweep.engine import run, sweep
@@ -61,6 +61,7 @@ __all__ = [
     "Info",
     "InvalidInput",
     "Jacobi",
+    "MetricSpec",
     "Output",
     "Result",
     "Results",
@@ -100,6 +101,7 @@ _PLACES: Mapping[str, str] = {
     "Info": "cosim.info:Info",
     "InvalidInput": "errors:InvalidInput",
     "Jacobi": "cosim.coupling:Jacobi",
+    "MetricSpec": "scenario.parts:MetricSpec",
     "Output": "cosim:Output",
     "Result": "cosim:Result",
     "Results": "results.results:Results",
