@@ -64,6 +64,14 @@ def test_figures_and_equations_are_in_the_pages(site: Path) -> None:
 
 
 @pytest.mark.slow
+def test_formulas_are_understood(site: Path) -> None:
+    """A command that the converter does not know would stay in the formula as it is."""
+    for page in site.glob("*.html"):
+        for formula in html.parse(page).iter("math"):
+            assert "\\" not in formula.text_content(), page
+
+
+@pytest.mark.slow
 @needs_browser
 def test_no_page_is_wider_than_its_window(site: Path) -> None:
     """Tables, code and long formulas scroll, or are broken into lines, in boxes of their own."""
