@@ -131,9 +131,6 @@ WORTH = 200
 GROWTH = 4.0
 """By so much steps grow until their errors show, where a tolerance chooses them."""
 
-SHORTER = 2.0
-"""Steps at the start are so many times shorter, at most, than those to come."""
-
 EVEN_STEPS = 3
 """Steps of that length then, so that derivatives come from past values as in a run."""
 
@@ -503,9 +500,7 @@ class Trial:
                         break
                     length *= GROWTH
                 length /= math.sqrt(max(error, 1.0))
-                if (stop - start) / length < SHORTER * WORTH or time + (
-                    EVEN_STEPS + 1
-                ) * length >= jump:
+                if (stop - start) / length < WORTH or time + (EVEN_STEPS + 1) * length >= jump:
                     return None
                 for _ in range(EVEN_STEPS):
                     state = stepper.advance(state, time, time + length)
