@@ -42,6 +42,11 @@ STANDARD = (
     "bound_estimator",
     "filtered_transformation",
     "structured",
+    "disturbance2",
+    "disturbed",
+    "disturbed_output",
+    "wing_rock",
+    "pendulum_length",
 )
 # A delay has no native twin.
 NATIVE = tuple(name for name in STANDARD if name != "delay")

@@ -29,7 +29,14 @@ if TYPE_CHECKING:
         System,
         simulate,
     )
-    from congelation.cosim.coupling import Derivative, GaussSeidel, Hermite, Jacobi, Sampled
+    from congelation.cosim.coupling import (
+        Derivative,
+        GaussSeidel,
+        Hermite,
+        Jacobi,
+        ModelExchange,
+        Sampled,
+    )
     from congelation.cosim.experiment import Experiment
     from congelation.cosim.info import Info, info
     from congelation.design.attack import attack
@@ -61,6 +68,7 @@ __all__ = [
     "Info",
     "InvalidInput",
     "Jacobi",
+    "ModelExchange",
     "Output",
     "Result",
     "Results",
@@ -103,6 +111,7 @@ _PLACES: Mapping[str, str] = {
     "Output": "cosim:Output",
     "Result": "cosim:Result",
     "Results": "results.results:Results",
+    "ModelExchange": "cosim.coupling:ModelExchange",
     "Sampled": "cosim.coupling:Sampled",
     "Scenario": "scenario.scenario:Scenario",
     "SlaveError": "errors:SlaveError",

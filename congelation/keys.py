@@ -114,7 +114,15 @@ EXPERIMENT = Table(
             "text",
             "how inputs move between communication points",
             "auto",
-            choices=("auto", "jacobi", "gauss_seidel", "derivative", "hermite", "sampled"),
+            choices=(
+                "auto",
+                "jacobi",
+                "gauss_seidel",
+                "derivative",
+                "hermite",
+                "sampled",
+                "model_exchange",
+            ),
         ),
         Key("options", "table", "options of the coupling", table=VALUES),
         Key(
@@ -278,6 +286,7 @@ STRUCTURE = Table(
             choices=("constant", "varying"),
         ),
         Key("tracking", "boolean", "whether the output follows a reference, input yr", False),
+        Key("disturbance", "boolean", "whether the plant is disturbed, input d", False),
         Key(
             "radius",
             "text",

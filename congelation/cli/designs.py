@@ -77,6 +77,16 @@ def build(
             "--native", help="Build native FMUs, which run without Python, into DIR/native."
         ),
     ] = False,
+    platform: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="What native FMUs are to run on: linux64, win64 (with linux64 in one file), "
+            "aarch64-linux, darwin64 (files of their own in DIR/native/NAME). Repeatable, or "
+            "separated by commas. All but linux64 need the extra native-platforms.",
+            metavar="NAME",
+            show_default="linux64",
+        ),
+    ] = None,
     c_code: Annotated[
         bool,
         typer.Option(
@@ -87,7 +97,8 @@ def build(
     """Build the plant and the controller FMUs of specs."""
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always", DesignWarning)
-        paths = build_fmus(*specs, out=out, native=native, c_code=c_code)
+        platforms = [name.strip() for given in platform or () for name in given.split(",")]
+        paths = build_fmus(*specs, out=out, native=native, platforms=platforms, c_code=c_code)
     for warning in found:
         complain(f"warning: {warning.message}")
     for path in paths:

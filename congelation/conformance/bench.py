@@ -14,8 +14,8 @@ from functools import cached_property
 from pathlib import Path
 
 from congelation.conformance.binding import Library, Tape
-from congelation.conformance.description import Value, read_description
-from congelation.conformance.instance import Instance
+from congelation.conformance.description import Description, Value, read_description
+from congelation.conformance.instance import CO_SIMULATION, MODEL_EXCHANGE, Instance
 from congelation.conformance.job import Job, binary_path
 from congelation.conformance.rule import NotApplicable, NotEvaluated, Violated
 from congelation.conformance.trajectory import (
@@ -125,6 +125,7 @@ class Bench:
         logging: bool = True,
         memory: bool = True,
         library: Library | None = None,
+        kind: int = CO_SIMULATION,
     ) -> Instance:
         """Call fmi2Instantiate, whatever comes of it.
 
@@ -142,6 +143,7 @@ class Bench:
             uri=self.uri if uri is None else uri,
             logging=logging,
             memory=memory,
+            kind=kind,
         )
         self.made += 1
         self.instances.append(instance)
@@ -165,6 +167,7 @@ class Bench:
         logging: bool = True,
         memory: bool = True,
         library: Library | None = None,
+        kind: int = CO_SIMULATION,
     ) -> Instance:
         """A new instance, in state "instantiated".
 
@@ -173,7 +176,9 @@ class Bench:
         Violated
             fmi2Instantiate returned a null pointer.
         """
-        instance = self.attempt(name, uri=uri, logging=logging, memory=memory, library=library)
+        instance = self.attempt(
+            name, uri=uri, logging=logging, memory=memory, library=library, kind=kind
+        )
         if instance.component is None:
             said = "; ".join(m.shown for m in instance.messages) or "and logged nothing"
             raise Violated(f"fmi2Instantiate returned a null pointer: {said}")
@@ -253,6 +258,39 @@ class Bench:
         instance = self.ready(name, phase=phase)
         yield instance
         instance.free()
+
+    def exchange(self, description: Description | None = None) -> Instance:
+        """A new instance for model exchange in event mode, its inputs excited.
+
+        Parameters
+        ----------
+        description : Description, optional
+            In place of the FMU's own, where some inputs are to rest.
+
+        Raises
+        ------
+        NotApplicable
+            The FMU is for co-simulation alone.
+        """
+        instance = self.fresh(kind=MODEL_EXCHANGE, library=self.exchange_library)
+        demand(instance.setup(self.grid.start), "fmi2SetupExperiment")
+        demand(instance.enter(), "fmi2EnterInitializationMode")
+        excite(instance, description or self.description, 0)
+        demand(instance.leave(), "fmi2ExitInitializationMode")
+        return instance
+
+    @cached_property
+    def exchange_library(self) -> Library:
+        """The shared library for model exchange, as a rule that for co-simulation."""
+        identifier = self.description.identifiers.get("ModelExchange")
+        if identifier is None:
+            raise NotApplicable("no FMU for model exchange: there is no <ModelExchange>")
+        if identifier == self.description.identifier:
+            return self.library
+        path = self.binary.with_stem(identifier)
+        if not path.is_file():
+            raise NotApplicable(f"no binary for this platform ({path.parent.name}/{path.name})")
+        return Library(path, self._tape)
 
     def elsewhere(self, task: str, *, directory: Path | None = None, argument: str = "") -> str:
         """Do a task of `congelation.conformance.child` in another process.

@@ -1,4 +1,4 @@
-"""The C functions of an FMI 2.0 co-simulation FMU, called raw through ctypes.
+"""The C functions of an FMI 2.0 FMU, called raw through ctypes.
 
 Nothing is checked or smoothed over on the way: a rule has to be able to make every wrong call,
 and sees the status and the log messages exactly as they come. Before each call the name of the
@@ -24,8 +24,10 @@ from typing import Any
 from congelation.conformance.description import Value
 
 __all__ = [
+    "EXCHANGE_FUNCTIONS",
     "FUNCTIONS",
     "Callbacks",
+    "EventInfo",
     "Library",
     "LogMessage",
     "Logger",
@@ -148,6 +150,19 @@ class Callbacks(ctypes.Structure):
     )
 
 
+class EventInfo(ctypes.Structure):
+    """fmi2EventInfo (section 3.2.2)."""
+
+    _fields_ = (
+        ("newDiscreteStatesNeeded", c_int),
+        ("terminateSimulation", c_int),
+        ("nominalsOfContinuousStatesChanged", c_int),
+        ("valuesOfContinuousStatesChanged", c_int),
+        ("nextEventTimeDefined", c_int),
+        ("nextEventTime", c_double),
+    )
+
+
 def _functions() -> dict[str, tuple[Any, ...]]:
     """Result and argument types of every function that a co-simulation FMU exports."""
     table: dict[str, tuple[Any, ...]] = {
@@ -192,10 +207,28 @@ def _functions() -> dict[str, tuple[Any, ...]]:
     return table
 
 
-_TABLE = _functions()
+def _exchange_functions() -> dict[str, tuple[Any, ...]]:
+    """The same of the functions that model exchange has alone (sections 3.2.1 and 3.2.2)."""
+    flag, vector = POINTER(c_int), (c_int, _component, POINTER(c_double), c_size_t)
+    return {
+        "EnterEventMode": (c_int, _component),
+        "NewDiscreteStates": (c_int, _component, POINTER(EventInfo)),
+        "EnterContinuousTimeMode": (c_int, _component),
+        "CompletedIntegratorStep": (c_int, _component, c_int, flag, flag),
+        "SetTime": (c_int, _component, c_double),
+        "SetContinuousStates": vector,
+        "GetDerivatives": vector,
+        "GetEventIndicators": vector,
+        "GetContinuousStates": vector,
+        "GetNominalsOfContinuousStates": vector,
+    }
 
-# Names without the prefix "fmi2", of the common and the co-simulation part (section 4.2.4).
-FUNCTIONS: tuple[str, ...] = tuple(_TABLE)
+
+# Names without the prefix "fmi2", of the common and the co-simulation part (section 4.2.4), and of
+# model exchange.
+FUNCTIONS: tuple[str, ...] = tuple(_functions())
+EXCHANGE_FUNCTIONS: tuple[str, ...] = tuple(_exchange_functions())
+_TABLE = {**_functions(), **_exchange_functions()}
 
 
 # Bytes at the end of a tape that count what was written.

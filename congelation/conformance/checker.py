@@ -121,15 +121,14 @@ class Checker:
         what = f"FMI {version or '2.0'} {' and '.join(kinds) or 'without interface'}{unpacked}"
         why = ""
         if CO_SIMULATION not in kinds:
-            why = "no FMU for co-simulation; there are no dynamic rules for model exchange"
+            why = "no FMU for co-simulation; model exchange is called in FMUs of both kinds alone"
         elif not self._has_binary():
             why = f"no binary for this platform ({platform_folder()})"
         elif static:
             why = "as asked for"
         if why:
             return f"{what}, {only}: {why}", True, why
-        more = "; of model exchange the static rules alone" if len(kinds) > 1 else ""
-        return f"{what}, static rules and dynamic rules on {platform_folder()}{more}", True, ""
+        return f"{what}, static rules and dynamic rules on {platform_folder()}", True, ""
 
     def _has_binary(self) -> bool:
         wanted = binary_path(Path(), self._subject.description).as_posix()

@@ -154,6 +154,8 @@ class Description:
     naming: str
     identifiers: Mapping[str, str]
     flags: Mapping[str, str]
+    exchange_flags: Mapping[str, str]
+    indicators: int
     categories: tuple[str, ...]
     experiment: Experiment
     variables: tuple[Variable, ...]
@@ -170,6 +172,10 @@ class Description:
     def flag(self, name: str) -> bool:
         """A Boolean capability flag of the CoSimulation element; absent means false."""
         return truth(self.flags.get(name, "false"))
+
+    def exchange_flag(self, name: str) -> bool:
+        """The same of the ModelExchange element."""
+        return truth(self.exchange_flags.get(name, "false"))
 
     @property
     def output_order(self) -> int:
@@ -194,6 +200,18 @@ class Description:
             if target is not None:
                 found.add(int(target))
         return frozenset(found)
+
+    @cached_property
+    def state_vector(self) -> tuple[tuple[Variable, Variable], ...]:
+        """The continuous-time states with their derivatives, in the order of the C functions."""
+        found = []
+        for unknown in self.derivatives:
+            derivative = self.variable(unknown.index)
+            target = derivative.attributes.get("derivative") if derivative else None
+            state = None if target is None else self.variable(int(target))
+            if derivative is not None and state is not None:
+                found.append((state, derivative))
+        return tuple(found)
 
 
 def read_description(xml: bytes, parse: Any = ElementTree.fromstring) -> Description:
@@ -222,7 +240,7 @@ def read_description(xml: bytes, parse: Any = ElementTree.fromstring) -> Descrip
 
 
 def _read(root: Any) -> Description:
-    slave = root.find("CoSimulation")
+    slave, exchange = root.find("CoSimulation"), root.find("ModelExchange")
     return Description(
         model_name=root.get("modelName", ""),
         guid=root.get("guid", ""),
@@ -234,6 +252,8 @@ def _read(root: Any) -> Description:
             if (element := root.find(kind)) is not None
         },
         flags={} if slave is None else dict(slave.attrib),
+        exchange_flags={} if exchange is None else dict(exchange.attrib),
+        indicators=int(root.get("numberOfEventIndicators", "0")),
         categories=tuple(c.get("name", "") for c in root.iterfind("LogCategories/Category")),
         experiment=_experiment(root.find("DefaultExperiment")),
         variables=tuple(

@@ -9,6 +9,7 @@ from ctypes import byref, c_char_p, c_double, c_int, c_size_t, c_uint, c_void_p
 
 from congelation.conformance.binding import (
     Callbacks,
+    EventInfo,
     Library,
     Logger,
     LogMessage,
@@ -20,9 +21,10 @@ from congelation.conformance.binding import (
 from congelation.conformance.description import Value
 from congelation.conformance.rule import Violated
 
-__all__ = ["CO_SIMULATION", "ENVIRONMENT", "Instance"]
+__all__ = ["CO_SIMULATION", "ENVIRONMENT", "MODEL_EXCHANGE", "Instance"]
 
-CO_SIMULATION = 1
+# fmi2Type
+MODEL_EXCHANGE, CO_SIMULATION = 0, 1
 
 # Values that only a mistake produces.
 _HUGE = 1e300
@@ -45,6 +47,8 @@ class Instance:
         loggingOn.
     memory : bool
         Whether the memory functions are handed over, or null pointers in their place.
+    kind : int
+        `CO_SIMULATION` or `MODEL_EXCHANGE`.
 
     Attributes
     ----------
@@ -63,6 +67,7 @@ class Instance:
         uri: str,
         logging: bool = True,
         memory: bool = True,
+        kind: int = CO_SIMULATION,
     ) -> None:
         self.library = library
         self.name = name
@@ -76,7 +81,7 @@ class Instance:
             self._callbacks.freeMemory = ctypes.cast(c_library.free, c_void_p)
         self.component: int | None = library.call(
             "Instantiate",
-            *(name.encode(), CO_SIMULATION, guid.encode(), uri.encode()),
+            *(name.encode(), kind, guid.encode(), uri.encode()),
             *(byref(self._callbacks), 0, int(logging)),
         )
 
@@ -133,6 +138,38 @@ class Instance:
         if not 0.0 < size < math.inf:
             self.library.probe = f"h = {size:g}"
         return self.call("DoStep", time, size, int(final))
+
+    def enter_event_mode(self) -> Status:
+        """fmi2EnterEventMode."""
+        return self.call("EnterEventMode")
+
+    def new_discrete_states(self) -> tuple[Status, EventInfo]:
+        """fmi2NewDiscreteStates."""
+        info = EventInfo()
+        return self.call("NewDiscreteStates", byref(info)), info
+
+    def enter_continuous_time_mode(self) -> Status:
+        """fmi2EnterContinuousTimeMode."""
+        return self.call("EnterContinuousTimeMode")
+
+    def completed_step(self) -> tuple[Status, bool, bool]:
+        """fmi2CompletedIntegratorStep; whether it asks for event mode, and for the end."""
+        event, end = c_int(), c_int()
+        status = self.call("CompletedIntegratorStep", 1, byref(event), byref(end))
+        return status, bool(event), bool(end)
+
+    def set_time(self, time: float) -> Status:
+        """fmi2SetTime."""
+        return self.call("SetTime", time)
+
+    def set_states(self, x: Sequence[float]) -> Status:
+        """fmi2SetContinuousStates."""
+        return self.call("SetContinuousStates", pack("Real", x), len(x))
+
+    def vector(self, name: str, count: int) -> tuple[Status, list[float]]:
+        """fmi2GetContinuousStates, fmi2GetDerivatives and others by `name`: so many numbers."""
+        values = (c_double * count)()
+        return self.call(name, values, count), list(values)
 
     def terminate(self) -> Status:
         """fmi2Terminate."""

@@ -220,15 +220,16 @@ def dynamic(
     ends_normally: bool = False,
     needs: str = "run",
     owns: Iterable[str] = (),
+    interface: str = CO_SIMULATION,
 ) -> Callable[[Callable[[Bench], Iterable[str | Breach]]], DynamicRule]:
-    """Register a function as a dynamic rule for co-simulation; its docstring is the rule's page."""
+    """Register a function as a dynamic rule; its docstring is the rule's page."""
 
     def register(look: Callable[[Bench], Iterable[str | Breach]]) -> DynamicRule:
         rule = DynamicRule(
             name,
             section,
             level,
-            interfaces=frozenset({CO_SIMULATION}),
+            interfaces=frozenset({interface}),
             look=look,
             time_factor=time_factor,
             ends_normally=ends_normally,

@@ -8,7 +8,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Real
 
-from congelation.cosim.coupling import Coupling, Derivative, make_coupling, refuse_tolerance
+from congelation.cosim.coupling import (
+    Coupling,
+    Derivative,
+    ModelExchange,
+    make_coupling,
+    refuse_tolerance,
+)
 from congelation.cosim.recording import Output
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import InvalidInput
@@ -206,6 +212,19 @@ def require_abilities(system: ResolvedSystem, experiment: Experiment) -> None:
         experiment.tolerance,
     )
     refuse_tolerance(coupling, tolerance)
+    if isinstance(coupling, ModelExchange):
+        if tolerance is None:
+            raise InvalidInput(
+                f"coupling '{coupling.name}' chooses its steps by a tolerance; give one"
+            )
+        for member in system.members:
+            if member.description.equations is None:
+                raise InvalidInput(
+                    f"component '{member.name}': {member.description.path.name} offers no model "
+                    f"exchange, which the coupling '{coupling.name}' needs; take a native FMU "
+                    "(native = true in a scenario), or another coupling"
+                )
+        return
     purpose = None
     predicts = isinstance(coupling, Derivative) and coupling.control == "prediction"
     if tolerance is not None and not predicts:

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from congelation.cosim.again import Again, Ahead, At, divided
 from congelation.cosim.choice import Lack, chosen
-from congelation.cosim.coupling import Auto, Derivative
+from congelation.cosim.coupling import Auto, Derivative, ModelExchange
 from congelation.cosim.experiment import Experiment, slave_tolerance
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
@@ -199,6 +199,11 @@ def trusted(
     if mode is not True and mode not in TRUST:
         raise InvalidInput(f"trust = {mode!r} is not valid; give true, {' or '.join(TRUST)}")
     given = output if output is not None else experiment.output or Output()
+    if isinstance(experiment.chosen_coupling, ModelExchange):
+        raise InvalidInput(
+            f"error bars repeat a run with its communication steps halved, of which the coupling "
+            f"'{ModelExchange.name}' has none; compare it with a run to a tenth of the tolerance"
+        )
     if isinstance(experiment.chosen_coupling, Auto):
         # Once, so that all runs have the same one.
         choice = chosen(system, experiment, pool)

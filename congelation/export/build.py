@@ -10,7 +10,7 @@ import sys
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType
@@ -24,6 +24,7 @@ from congelation.export.assumptions import spec_warnings
 from congelation.export.c_code import controller_code
 from congelation.export.model_description import complete
 from congelation.export.native import native_fmu
+from congelation.export.platforms import Platform, chosen_platforms
 from congelation.export.spec import BlockSpec, FmuSpec, Spec, read_buildable
 from congelation.export.stage import Staged, stage
 from congelation.fmi.validation import validate
@@ -49,6 +50,7 @@ def build(
     *specs: Spec | BlockSpec | Path | str,
     out: Path | str = "fmus",
     native: bool = False,
+    platforms: Sequence[str] = (),
     c_code: bool = False,
 ) -> list[Path]:
     """Build the FMUs of specs: a plant and a controller each, or a block.
@@ -65,6 +67,10 @@ def build(
     native : bool
         Build their native twins instead, which need no Python where they run, into the folder
         ``native`` of `out`.
+    platforms : sequence of str
+        What native FMUs are to run on: "linux64" (which is also meant by none), "win64",
+        "aarch64-linux", "darwin64". The first two go into one file, each other into a file of its
+        own in a folder of its name.
     c_code : bool
         Write the bare controllers as C for sampled control instead, each into a folder of its name
         in the folder ``c`` of `out`: controller.h, controller.c and an example main.c.
@@ -96,10 +102,14 @@ def build(
     """
     if native and c_code:
         raise InvalidInput("--native and --c-code: give one of the two; they are different builds")
+    if platforms and not native:
+        raise InvalidInput("--platform is about native FMUs; give --native, too")
+    chosen = chosen_platforms(platforms)
     folder = Path(out) / ("native" if native else "c" if c_code else "")
     if not specs:
         raise InvalidInput("no spec is given; name one or more, such as specs/f16_pitch.toml")
     check_folder("--out", folder)
+    groups = _groups(chosen, folder) if native else {folder: ()}
     read = [
         spec if isinstance(spec, Spec | BlockSpec) else read_buildable(Path(spec)) for spec in specs
     ]
@@ -129,28 +139,44 @@ def build(
                     if fmu.role == "controller":
                         paths += controller_code(fmu, folder / fmu.name)
                     continue
-                paths.append(_build_fmu(fmu, spec, folder, native))
-                _update_manifest(folder / "manifest.json", paths[-1], fmu, spec)
+                for path in _build_fmu(fmu, spec, groups):
+                    paths.append(path)
+                    _update_manifest(path.parent / "manifest.json", path, fmu, spec)
     except OSError as error:
         raise CongelationError(f"{folder}: an FMU cannot be written: {error}") from error
     return paths
 
 
-def _build_fmu(fmu: FmuSpec, spec: Spec | BlockSpec, out: Path, native: bool) -> Path:
-    """Build one FMU of `spec`, or its native twin, into the folder `out`."""
+def _groups(platforms: Sequence[Platform], folder: Path) -> dict[Path, tuple[Platform, ...]]:
+    """The platforms of each file of a native FMU, by the folder that it goes into."""
+    together = tuple(p for p in platforms if not p.apart)
+    apart = {folder / p.name: (p,) for p in platforms if p.apart}
+    for own in apart:
+        check_folder("--out", own)
+    return {**({folder: together} if together else {}), **apart}
+
+
+def _build_fmu(
+    fmu: FmuSpec, spec: Spec | BlockSpec, groups: Mapping[Path, Sequence[Platform]]
+) -> list[Path]:
+    """Build one FMU of `spec` into each of the folders, natively where platforms are given."""
     sources = shipped("fmu_src")
+    built = []
     with tempfile.TemporaryDirectory(prefix="congelation_build_") as temporary:
         folder = Path(temporary)
         staged = stage(fmu, spec, sources, folder / "staged")
-        target = out / f"{fmu.name}.fmu"
-        finished = folder / target.name
-        if native:
-            native_fmu(finished, fmu, staged, _described(fmu, staged), sources)
-        else:
-            _finish(_pythonfmu(staged, folder / "raw"), finished, staged, sources)
-        validate(finished)
-        target.write_bytes(finished.read_bytes())
-    return target
+        for out, platforms in groups.items():
+            target = out / f"{fmu.name}.fmu"
+            finished = folder / target.name
+            if platforms:
+                described = _described(fmu, staged)
+                native_fmu(finished, fmu, staged, described, sources, platforms)
+            else:
+                _finish(_pythonfmu(staged, folder / "raw"), finished, staged, sources)
+            validate(finished)
+            target.write_bytes(finished.read_bytes())
+            built.append(target)
+    return built
 
 
 def _pythonfmu(staged: Staged, out: Path) -> Path:

@@ -43,7 +43,7 @@ class Form:
     optional : mapping
         Keys that may be left out, and what they then are; None: they stay out.
     law : tuple of str
-        Keys that only the controller is derived from: a plant goes with any of them.
+        Keys that say what the law copes with: a plant goes with any of them.
     """
 
     keys: tuple[str, ...]
@@ -134,6 +134,7 @@ def _options(structure: Structure) -> Options:
         varying_gain=structure.get("gain", "constant") == "varying",
         unknown_radius=structure.get("radius", "known") == "estimated",
         bound_estimator=structure.get("law", "congelation") == "bound-estimator",
+        disturbance=bool(structure.get("disturbance", False)),
         Upsilon=tuple(tuple(row) for row in structure.get("Upsilon", ())),
     )
 
@@ -143,10 +144,10 @@ def _output_feedback(structure: Structure, law: AdaptationFactory) -> Model:
     n, m, options = _order(structure, "n"), _order(structure, "m"), _options(structure)
     name = structure.get("law", "congelation")
     if name == "filtered-transformation":
-        if "tracking" in structure or "radius" in structure or "gain" in structure:
+        if structure.keys() & {"tracking", "radius", "gain", "disturbance"}:
             raise InvalidInput(
                 "law = 'filtered-transformation' is a regulator that knows no radius; leave out "
-                "tracking, radius and gain (docs/rivals.md)"
+                "tracking, radius, gain and disturbance (docs/rivals.md)"
             )
         return filtered_transformation_controller(n, m)
     _check_law(name, "observer", ("congelation", "filtered-transformation"))
@@ -165,6 +166,10 @@ def _check_law(name: str, form: str, offered: tuple[str, ...]) -> None:
         raise InvalidInput(f"law = '{name}' is none of form '{form}'; {nearest(name, offered)}")
 
 
+_LAW = ("tracking", "radius", "law", "disturbance")
+"""Keys that say what a law copes with. A disturbed plant has an input more; it goes with the law of
+an undisturbed one, and the other way round."""
+
 FORMS: Mapping[str, Form] = {
     "scalar": Form(
         (),
@@ -177,18 +182,20 @@ FORMS: Mapping[str, Form] = {
         lambda s, law: matched_controller(s["A"], s["B"], law),
     ),
     "strict-feedback": Form(
-        ("n", "p", "phibar", "phi", "gain", "tracking", "radius", "law", "Upsilon"),
-        lambda s: strict_feedback_plant(_regressors(s), _options(s).varying_gain),
+        ("n", "p", "phibar", "phi", "gain", *_LAW, "Upsilon"),
+        lambda s: strict_feedback_plant(
+            _regressors(s), _options(s).varying_gain, _options(s).disturbance
+        ),
         _state_feedback,
-        dict.fromkeys(("phibar", "phi", "gain", "tracking", "radius", "law", "Upsilon")),
-        ("tracking", "radius", "law", "Upsilon"),
+        dict.fromkeys(("phibar", "phi", "gain", *_LAW, "Upsilon")),
+        (*_LAW, "Upsilon"),
     ),
     "observer": Form(
-        ("n", "m", "filter", "tracking", "radius", "gain", "law"),
-        lambda s: observer_form_plant(_order(s, "n"), _order(s, "m")),
+        ("n", "m", "filter", "gain", *_LAW),
+        lambda s: observer_form_plant(_order(s, "n"), _order(s, "m"), _options(s).disturbance),
         _output_feedback,
-        {"filter": "iss", **dict.fromkeys(("tracking", "radius", "gain", "law"))},
-        ("filter", "tracking", "radius", "law"),
+        {"filter": "iss", **dict.fromkeys(("gain", *_LAW))},
+        ("filter", *_LAW),
     ),
 }
 

@@ -270,12 +270,13 @@ def _input(name: str, description: str, unit: str, *, open: bool = False) -> Sca
 
 def _inputs(model: Model) -> Iterable[ScalarVariable]:
     proper = [
-        (name, unit, entry.variables.description)
+        (name, unit, entry)
         for entry in model.inputs
         for name, unit in zip(entry.variables.names, entry.variables.units, strict=True)
     ]
-    for name, unit, description in proper:
-        yield _input(name, description, unit)
+    for name, unit, entry in proper:
+        disturbing = entry.source == "disturbance"  # 0 where nothing disturbs
+        yield _input(name, entry.variables.description, unit, open=disturbing)
     for order in range(1, HIGHEST_ORDER + 1):
         for name, unit, _ in proper:
             derivative = f"der({name})" if order == 1 else f"der({name},{order})"

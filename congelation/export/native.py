@@ -9,20 +9,14 @@ the Python FMU is packed for that.
 from __future__ import annotations
 
 import hashlib
-import os
-import shutil
-import subprocess
-import sys
-import tempfile
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
-from functools import lru_cache
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
 import fmpy
 
-from congelation.errors import CongelationError, InvalidInput
+from congelation.errors import InvalidInput
 from congelation.export.archive import write_archive
 from congelation.export.equations import (
     Special,
@@ -32,6 +26,7 @@ from congelation.export.equations import (
 )
 from congelation.export.interface import Interface, StateVariable, state_variables
 from congelation.export.model_description import add_model_exchange
+from congelation.export.platforms import Platform, library
 from congelation.export.spec import FmuSpec
 from congelation.export.stage import Staged
 from congelation.export.straight_line import c_functions
@@ -43,21 +38,16 @@ __all__ = ["model_source", "native_fmu"]
 # The start of all GUIDs of native FMUs; it only has to stay the same, and to be another than that
 # of the Python FMUs.
 _NAMESPACE = uuid.UUID("6f0f1b3e-9f0e-5a52-8f6c-7d2d1c1f7a11")
-# FMI 2.0 calls 64-bit Linux on x86 so; no other platform is built for yet.
-_PLATFORM = "linux64"
-# Each operation is rounded by itself, as in Python; only the functions of FMI are exported.
-_FLAGS = (
-    "-std=c99",
-    "-O2",
-    "-ffp-contract=off",
-    "-fPIC",
-    "-fvisibility=hidden",
-)
 _MODEL = "model.c"
 
 
 def native_fmu(
-    target: Path, fmu: FmuSpec, staged: Staged, description: bytes, sources: Path
+    target: Path,
+    fmu: FmuSpec,
+    staged: Staged,
+    description: bytes,
+    sources: Path,
+    platforms: Sequence[Platform],
 ) -> None:
     """Write the native twin of a Python FMU.
 
@@ -73,13 +63,15 @@ def native_fmu(
         The Python FMU's modelDescription.xml.
     sources : Path
         The folder fmu_src.
+    platforms : sequence of Platform
+        What it is to run on.
 
     Raises
     ------
     InvalidInput
         The FMU has no native twin: it delays signals, or its profile is a table.
     CongelationError
-        There is no C compiler, or it failed.
+        The compiler that is needed is not here, or it failed.
     """
     _check(fmu)
     about = staged.about.read_bytes()
@@ -108,7 +100,10 @@ def native_fmu(
         "documentation/licenses/license.txt": (sources / "native" / "licenses.txt").read_bytes(),
         "model.png": staged.icon,
         "resources/spec.json": about,
-        f"binaries/{_PLATFORM}/{identifier}.so": _library(fmu.name, layer, model),
+        **{
+            f"binaries/{p.folder}/{identifier}{p.extension}": library(fmu.name, layer, model, p)
+            for p in platforms
+        },
         **{f"sources/{name}": data for name, data in code.items()},
     }
     write_archive(target, [("modelDescription.xml", xml), *sorted(entries.items())])
@@ -355,58 +350,7 @@ def _equations(model: Model, special: Special | None) -> list[str]:
 _TANGENT_ARGUMENTS = ("x", "v", "d", "theta", "x_seed", "v_seed", "d_seed", "theta_seed")
 
 
-# -- binary ---------------------------------------------------------------------------------------
-
-
-def _library(name: str, layer: Mapping[str, bytes], model: bytes) -> bytes:
-    """The shared library of a model over the layer, for 64-bit Linux.
-
-    Raises
-    ------
-    CongelationError
-        There is no C compiler, or it failed.
-    """
-    compiler = os.environ.get("CC") or "gcc"
-    if sys.platform != "linux" or shutil.which(compiler.split()[0]) is None:
-        raise CongelationError(
-            f"{name}: a native FMU is compiled on 64-bit Linux by '{compiler}', which is not here; "
-            "install gcc, or name a C compiler by the environment variable CC"
-        )
-    try:
-        objects = dict(_objects(compiler, tuple(layer.items())))
-        headers = {file: data for file, data in layer.items() if file.endswith(".h")}
-        given = {**headers, **objects, _MODEL: model}
-        options = ["-shared", _MODEL, *objects, "-lm", "-o", "library.so"]
-        return _compiled(compiler, given, options, "library.so")["library.so"]
-    except _CompilerError as error:
-        raise CongelationError(f"{name}: {compiler} failed: {error}") from error
-
-
-@lru_cache(maxsize=2)
-def _objects(compiler: str, layer: tuple[tuple[str, bytes], ...]) -> tuple[tuple[str, bytes], ...]:
-    """The object files of the layer, which is the same for all FMUs of a build."""
-    files = [file for file, _ in layer if file.endswith(".c")]
-    return tuple(_compiled(compiler, dict(layer), ["-c", *files], "*.o").items())
-
-
-class _CompilerError(Exception):
-    """The compiler failed; its first error."""
-
-
-def _compiled(
-    compiler: str, files: Mapping[str, bytes], options: Sequence[str], results: str
-) -> dict[str, bytes]:
-    """What a compiler makes of `files` in an empty folder: the files that match `results`."""
-    with tempfile.TemporaryDirectory(prefix="congelation_native_") as temporary:
-        folder = Path(temporary)
-        for file, data in files.items():
-            (folder / file).write_bytes(data)
-        command = [*compiler.split(), *_FLAGS, *options]
-        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-        if done.returncode:
-            lines = done.stderr.splitlines()
-            raise _CompilerError(next((line for line in lines if "error" in line), "no reason"))
-        return {file.name: file.read_bytes() for file in sorted(folder.glob(results))}
+# -- description ----------------------------------------------------------------------------------
 
 
 def _description(

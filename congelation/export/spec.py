@@ -29,12 +29,14 @@ The forms and the keys of their structure:
     strict-feedback    n, p, phibar: (9), a table of the rows phibar_{i,j} that are not 0;
                        or phi: formulas, {1 = ["x[1]**2", "sin(x[1])"]}, p in each row;
                        gain = "varying": the input gain b(t) is the last element of theta;
-                       tracking, radius = "estimated": what the law is to cope with;
+                       tracking, radius = "estimated", disturbance: what the law is to cope
+                       with; a disturbed plant has the inputs d[1] .. d[n];
                        Upsilon: formulas in t of what is known of theta(t),
                        {1 = ["1", "sin(2*t)"]}, as many in each of p rows;
                        law = "bound-estimator": a rival of congelation
     observer           n, m, filter: (27), with the "iss" or the "standard" K-filter;
-                       tracking, radius as above; law = "filtered-transformation": a rival
+                       tracking, radius, disturbance as above;
+                       law = "filtered-transformation": a rival
 
 A block to put between them, or to drive them with, is a spec of one FMU:
 
@@ -125,9 +127,12 @@ class Spec:
         Of the file, without its suffix.
     title : str
         Of the system, for people.
-    form, structure
-        What the models are derived from; see `congelation.export.forms`.
-    plant, controller : FmuSpec
+    form : str
+        The class of systems, such as ``strict-feedback``.
+    structure : mapping
+        What the models are derived from: the keys of ``[structure]``.
+    plant : FmuSpec
+    controller : FmuSpec
 
     Examples
     --------

@@ -150,6 +150,7 @@ def _strict_feedback(structure: Structure, unit: Mapping[str, Powers]) -> Iterat
     yield from _reference_of("x[1]", n, unit)
     for i in range(1, n):
         yield Fit(f"x[{i + 1}]", _rate(unit.get(f"x[{i}]")), f"x[{i}]' = x[{i + 1}] + ..")
+    yield from _disturbed(n, unit)
     last = _rate(unit.get(f"x[{n}]"))
     if structure.get("gain") == "varying":
         b = f"theta[{p + 1}]"
@@ -210,6 +211,7 @@ def _observer(structure: Structure, unit: Mapping[str, Powers]) -> Iterator[Fit]
     rho, u = n - m, unit.get("u")
     y = unit.get("y", unit.get("x[1]"))
     yield Fit("x[1]", y, "y = x[1]")
+    yield from _disturbed(n, unit)
     yield from _reference_of("y", rho, {**unit, **({} if y is None else {"y": y})})
     for i in range(1, n):
         yield Fit(f"x[{i + 1}]", _rate(y, i), f"x[{i}]' = x[{i + 1}] + ..")
@@ -229,6 +231,12 @@ def _reference_of(name: str, order: int, unit: Mapping[str, Powers]) -> Iterator
     """The reference that an output follows, and its derivatives."""
     for k in range(order + 1):
         yield Fit(f"yr[{k}]", _rate(unit.get(name), k), f"yr[{k}] = d^{k} {name} / dt^{k}")
+
+
+def _disturbed(n: int, unit: Mapping[str, Powers]) -> Iterator[Fit]:
+    """What is added to x'."""
+    for i in range(1, n + 1):
+        yield Fit(f"d[{i}]", _rate(unit.get(f"x[{i}]")), f"x[{i}]' = .. + d[{i}]")
 
 
 def _reference(structure: Structure, unit: Mapping[str, Powers]) -> Iterator[Fit]:

@@ -21,7 +21,7 @@ from congelation.errors import InvalidInput, nearest
 from congelation.fmi.archive import DAMAGED, check_archive, require_no_other_kind
 from congelation.fmi.units import BASE, Unit, unit_named
 
-__all__ = ["ANNOTATION", "Description", "Variable", "describe"]
+__all__ = ["ANNOTATION", "Description", "Equations", "Variable", "describe"]
 
 
 ANNOTATION = "congelation"
@@ -72,6 +72,24 @@ class Variable:
 
 
 @dataclass(frozen=True)
+class Equations:
+    """What an FMU offers as model exchange: its differential equations.
+
+    Parameters
+    ----------
+    states, indicators : int
+        How many continuous states and event indicators there are.
+    completes : bool
+        Whether fmi2CompletedIntegratorStep is to be called.
+    """
+
+    model_identifier: str
+    states: int
+    indicators: int
+    completes: bool
+
+
+@dataclass(frozen=True)
 class Description:
     """The part of a model description that a co-simulation master needs.
 
@@ -92,6 +110,8 @@ class Description:
         Inputs that the FMU says are meant to be left alone, by an annotation of this project.
     proposed_step : float or None
         Communication step that the FMU proposes (DefaultExperiment), in seconds.
+    equations : Equations or None
+        None where the FMU offers no model exchange.
     """
 
     path: Path
@@ -108,6 +128,7 @@ class Description:
     units: Mapping[str, Unit] = field(default_factory=dict)
     open_inputs: frozenset[str] = frozenset()
     proposed_step: float | None = None
+    equations: Equations | None = None
 
     def unit(self, name: str) -> Unit | None:
         """The unit of a name, as the FMU defines it, else as is usual; None for no name."""
@@ -202,6 +223,20 @@ def _read(path: Path) -> Description:
         units=MappingProxyType(_units(model)),
         open_inputs=_open_inputs(root),
         proposed_step=_proposed_step(model),
+        equations=_equations(model),
+    )
+
+
+def _equations(model: fmpy.model_description.ModelDescription) -> Equations | None:
+    exchange = model.modelExchange
+    # Its name becomes part of a path.
+    if exchange is None or {*str(exchange.modelIdentifier)} & {"/", "\\", "\0"}:
+        return None
+    return Equations(
+        model_identifier=exchange.modelIdentifier,
+        states=len(model.derivatives),
+        indicators=int(model.numberOfEventIndicators or 0),
+        completes=not exchange.completedIntegratorStepNotNeeded,
     )
 
 

@@ -105,7 +105,7 @@ def fmu_info(path: Path) -> FmuInfo:
 
     inputs = of("input")
     names = {v.name for v in inputs}
-    optional = [v for v in inputs if _is_optional(v.name, names)]
+    optional = [v for v in inputs if v.name in known.open_inputs or _is_optional(v.name, names)]
     return FmuInfo(
         path=Path(path),
         name=model.modelName,

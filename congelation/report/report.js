@@ -181,7 +181,10 @@ window.congelation = (() => {
   function start(found) {
     bokeh = found;
     paint();
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", paint);
+    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+      paint();
+      if (window.congelation.study) window.congelation.study.refresh();
+    });
     window.addEventListener("beforeprint", paint);
     // A finger that drags over a plot scrolls the page; the tools zoom when they are chosen.
     if (matchMedia("(pointer: coarse)").matches)

@@ -176,7 +176,8 @@ def plan_study(
     if found.total == 0:
         raise InvalidInput(f"{scenario.place}: sweep.constraints leave no point")
     sweep = _sweep(scenario)
-    described = {**about(scenario, varied_settings(scenario, swept)), "swept": swept}
+    axes = sweep.together() if swept else ()
+    described = {**about(scenario, varied_settings(scenario, swept), axes), "swept": swept}
     study = content_hash(
         [identity.plan(swept), {key: v for key, v in described.items() if key != "versions"}]
     )

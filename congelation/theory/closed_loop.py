@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -12,10 +12,10 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from congelation.errors import InvalidInput
-from congelation.theory.model import Model, Variables
+from congelation.theory.model import Input, Model, Variables
 from congelation.theory.values import complete_values
 
-__all__ = ["ClosedLoop", "Compiled", "Segment", "Solution", "close"]
+__all__ = ["ClosedLoop", "Compiled", "External", "Segment", "Solution", "Source", "close"]
 
 Vector = NDArray[np.float64]
 
@@ -24,14 +24,13 @@ def close(
     plant: Model,
     controller: Model,
     parameters: Mapping[str, object] | None = None,
-    source: Model | None = None,
-    source_parameters: Mapping[str, object] | None = None,
+    sources: Sequence[Source] = (),
 ) -> ClosedLoop:
     """Connect every output to the input of its name, both ways.
 
-    An input of the controller that holds a value and its derivatives, such as a reference, comes
-    from the source. Without one it is left open and joins the states, each element's rate being
-    the next one and that of the last 0.
+    An input from outside of the loop, a reference or a disturbance, comes from the sources. One
+    that none of them drives is left open and joins the states: a disturbance with the rate 0, of a
+    reference and its derivatives each element with the next one and the last with 0.
 
     Parameters
     ----------
@@ -39,58 +38,128 @@ def close(
         The plant's outputs do not depend on its input, so there is no algebraic loop.
     parameters : mapping, optional
         Parameters of the controller, see `congelation.theory.values.complete_values`.
-    source, source_parameters : Model, mapping, optional
-        A block without inputs, and its parameters.
+    sources : sequence of Source, optional
+        What drives the inputs from outside.
 
     Raises
     ------
     InvalidInput
-        If an input has no output of its name and shape.
+        If an input has no output of its name and shape, or comes from sources in part only.
     """
-    open_inputs = [i.variables for i in controller.inputs if i.variables.first == 0]
-    external = () if source is not None else tuple(open_inputs)
-    names = {v.name for v in open_inputs}
-    sensed = _connection(plant, controller, names)
+    timed = [source.model.signals for source in sources if source.model.signals is not None]
+    blocks = [_numbered(source, timed[0].time if timed else None) for source in sources]
+    offered: dict[str, ca.SX] = {}
+    for source, block in zip(sources, blocks, strict=True):
+        outputs = {
+            name: element
+            for y in block.outputs
+            for name, element in zip(y.variables.names, y.variables.elements, strict=True)
+        }
+        links = {name: name for name in outputs} if source.links is None else source.links
+        offered |= {name: outputs[output] for name, output in links.items()}
     driven: list[tuple[ca.SX, ca.SX]] = []
-    source_rates: list[ca.SX] = []
-    source_outputs: list[ca.SX] = []
-    if source is not None:
-        others = {i.variables.name for i in controller.inputs} - names
-        driven = _connection(source, controller, others)
-        given = complete_values(source, source_parameters)
-        arguments = source.arguments()
-        symbols = [arguments[name] for name in given]
-        numbers = [ca.SX(ca.DM(value)) for value in given.values()]
-        bound = ca.substitute(
-            [
-                *(e for _, e in driven),
-                *(s.rate for s in source.states),
-                *(y.variables.symbol for y in source.outputs),
-            ],
-            symbols,
-            numbers,
-        )
-        ends = len(driven), len(driven) + len(source.states)
-        driven = [(v, e) for (v, _), e in zip(driven, bound, strict=False)]
-        source_rates, source_outputs = bound[ends[0] : ends[1]], bound[ends[1] :]
+    external: list[External] = []
+    for side, model in (("plant", plant), ("controller", controller)):
+        for entry in model.inputs:
+            v = entry.variables
+            missing = [name for name in v.names if name not in offered]
+            if entry.source == "loop":
+                continue
+            if not missing:
+                driven.append((v.symbol, ca.vertcat(*(offered[name] for name in v.names))))
+            elif len(missing) == len(v.names):
+                external.append(External(side, entry))
+            else:
+                raise InvalidInput(
+                    f"{', '.join(missing)} of the {side} has no source, while the rest of {v.name} "
+                    "has one; give a source for each element"
+                )
+
+    # The plant's outputs into the law, the law's control into the plant.
     control = _connection(controller, plant)
-    expressions = [*(s.rate for s in controller.states), *(y for _, y in control)]
-    expressions += [o.variables.symbol for o in controller.outputs]
-    fed = [*sensed, *driven]
-    expressions = ca.substitute(expressions, [v for v, _ in fed], [y for _, y in fed])
-    rates, rest = expressions[: len(controller.states)], expressions[len(controller.states) :]
-    inputs, outputs = rest[: len(control)], rest[len(control) :]
-    plant_rates = ca.substitute([s.rate for s in plant.states], [v for v, _ in control], inputs)
-    plant_outputs = [o.variables.symbol for o in plant.outputs]
-    chains = [ca.vertcat(v.symbol[1:], 0) for v in external]
+    law = [*(s.rate for s in controller.states), *(y for _, y in control)]
+    law += [o.variables.symbol for o in controller.outputs]
+    fed = [*_connection(plant, controller), *driven]
+    law = ca.substitute(law, [v for v, _ in fed], [y for _, y in fed])
+    rates, rest = law[: len(controller.states)], law[len(controller.states) :]
+    acting = [*((v, u) for (v, _), u in zip(control, rest, strict=False)), *driven]
+    plant_rates = ca.substitute(
+        [s.rate for s in plant.states], [v for v, _ in acting], [e for _, e in acting]
+    )
+    of_blocks = [s.rate for block in blocks for s in block.states]
+    outputs_of_plant = [o.variables.symbol for o in plant.outputs]
+    outputs_of_blocks = [o.variables.symbol for block in blocks for o in block.outputs]
     return ClosedLoop(
         plant=plant,
         controller=controller,
         values=complete_values(controller, parameters),
-        rate=_stack([*plant_rates, *rates, *source_rates, *chains]),
-        output=_stack([*plant_outputs, *outputs, *source_outputs]),
-        external=external,
-        source=source,
+        rate=_stack([*plant_rates, *rates, *of_blocks, *(e.rate for e in external)]),
+        output=_stack([*outputs_of_plant, *rest[len(control) :], *outputs_of_blocks]),
+        external=tuple(external),
+        sources=tuple(blocks),
+    )
+
+
+@dataclass(frozen=True)
+class Source:
+    """A block that drives inputs from outside of the loop.
+
+    Attributes
+    ----------
+    model : Model
+        A block without inputs.
+    parameters : mapping, optional
+        Its parameters.
+    links : mapping of str to str, optional
+        Elements of inputs, such as ``d[2]``, and the element of an output that each comes from;
+        None: those of equal names.
+    """
+
+    model: Model
+    parameters: Mapping[str, object] | None = None
+    links: Mapping[str, str] | None = None
+
+
+@dataclass(frozen=True)
+class External:
+    """An input from outside that no source drives, of the ``plant`` or the ``controller``."""
+
+    side: str
+    input: Input
+
+    @property
+    def variables(self) -> Variables:
+        """The input's variables."""
+        return self.input.variables
+
+    @property
+    def rate(self) -> ca.SX:
+        """Its rate as a state of the loop."""
+        symbol = self.variables.symbol
+        if self.input.source == "reference":  # each derivative is the rate of the one before
+            return ca.vertcat(symbol[1:], 0)
+        return ca.SX.zeros(*symbol.shape)
+
+
+def _numbered(source: Source, time: ca.SX | None) -> Model:
+    """The block of a source with numbers for its parameters, and the symbol `time` for its time."""
+    model = source.model
+    given = complete_values(model, source.parameters)
+    arguments = model.arguments()
+    symbols = [arguments[name] for name in given]
+    numbers = [ca.SX(ca.DM(value)) for value in given.values()]
+    if model.signals is not None and time is not None:
+        symbols, numbers = [*symbols, model.signals.time], [*numbers, time]
+    expressions = [s.rate for s in model.states] + [y.variables.symbol for y in model.outputs]
+    bound = ca.substitute(expressions, symbols, numbers)
+    rates, outputs = bound[: len(model.states)], bound[len(model.states) :]
+    return replace(
+        model,
+        states=tuple(replace(s, rate=r) for s, r in zip(model.states, rates, strict=True)),
+        outputs=tuple(
+            replace(y, variables=replace(y.variables, symbol=e))
+            for y, e in zip(model.outputs, outputs, strict=True)
+        ),
     )
 
 
@@ -141,10 +210,11 @@ class ClosedLoop:
     ----------
     values : mapping
         The parameters and gains of the controller.
-    external : tuple of Variables
-        Open inputs of the controller, a value and its derivatives each; last in X.
-    source : Model or None
-        What drives them instead; its states are last in X, its signals and time last in theta.
+    external : tuple of External
+        Open inputs; last in X.
+    sources : tuple of Model
+        What drives the others, with numbers for parameters; their states come behind those of the
+        controller in X, their signals and the time last in theta.
     rate, output : casadi.SX
         Columns: f, and the outputs of the plant, then those of the controller.
     """
@@ -154,14 +224,14 @@ class ClosedLoop:
     values: Mapping[str, Vector]
     rate: ca.SX
     output: ca.SX
-    external: tuple[Variables, ...] = ()
-    source: Model | None = None
+    external: tuple[External, ...] = ()
+    sources: tuple[Model, ...] = ()
 
     @property
     def state_names(self) -> tuple[str, ...]:
-        """``plant.x[1]``, .., ``controller.theta_hat[1]``, .. ."""
+        """``plant.x[1]``, .., ``controller.theta_hat[1]``, .., ``plant.d[1]``, .. ."""
         own = self._names(lambda model: [s.variables for s in model.states])
-        return own + tuple(f"controller.{name}" for v in self.external for name in v.names)
+        return own + tuple(f"{e.side}.{name}" for e in self.external for name in e.variables.names)
 
     @property
     def output_names(self) -> tuple[str, ...]:
@@ -173,7 +243,7 @@ class ClosedLoop:
         given = dict(given or {})
         states = [s for _, model in self._sides for s in model.states]
         starts = [(s.variables, s.start) for s in states]
-        starts += [(v, (0.0,) * len(v.names)) for v in self.external]
+        starts += [(e.variables, (0.0,) * len(e.variables.names)) for e in self.external]
         unknown = set(given) - {v.name for v, _ in starts}
         if unknown:
             raise InvalidInput(f"no state is called '{min(unknown)}'")
@@ -193,12 +263,17 @@ class ClosedLoop:
     def arguments(self) -> tuple[ca.SX, ca.SX]:
         """The columns X and theta that every expression is a function of."""
         states = [s.variables.symbol for _, model in self._sides for s in model.states]
-        states += [v.symbol for v in self.external]
+        states += [e.variables.symbol for e in self.external]
         theta = ca.SX(0, 1) if self.plant.theta is None else self.plant.theta.symbol
-        if self.source is not None and self.source.signals is not None:
-            signals = self.source.signals
-            theta = ca.vertcat(theta, signals.variables.symbol, signals.time)
+        signals = [model.signals for model in self.sources if model.signals is not None]
+        if signals:
+            theta = ca.vertcat(theta, *(s.variables.symbol for s in signals), signals[0].time)
         return _stack(states), theta
+
+    def opened(self, source: str) -> ca.SX:
+        """The open inputs that are a ``reference``, or a ``disturbance``, as one column."""
+        found = (e.variables.symbol for e in self.external if e.input.source == source)
+        return ca.vertcat(ca.SX(0, 1), *found)
 
     def bind(self, expressions: Sequence[ca.SX]) -> list[ca.SX]:
         """`expressions` with the numbers of the parameters and gains put in."""
@@ -286,9 +361,9 @@ class ClosedLoop:
 
     @property
     def _sides(self) -> list[tuple[str, Model]]:
-        """The blocks in the order in which X holds their states."""
-        sides = [("plant", self.plant), ("controller", self.controller)]
-        return sides if self.source is None else [*sides, ("source", self.source)]
+        """The blocks in the order in which X holds their states; sources as source1, .. ."""
+        sources = [(f"source{k}", model) for k, model in enumerate(self.sources, start=1)]
+        return [("plant", self.plant), ("controller", self.controller), *sources]
 
 
 class Compiled:
@@ -323,25 +398,17 @@ class Compiled:
         return self._result.copy()
 
 
-def _connection(
-    source: Model, target: Model, apart: Collection[str] = ()
-) -> list[tuple[ca.SX, ca.SX]]:
-    """(input symbol, output expression) for every input of `target`, but those `apart`."""
+def _connection(source: Model, target: Model) -> list[tuple[ca.SX, ca.SX]]:
+    """(input symbol, output expression) for every input of `target` from inside the loop."""
     outputs = {y.variables.name: y.variables for y in source.outputs}
     pairs = []
     for entry in target.inputs:
         name = entry.variables.name
-        if name in apart:
-            continue
-        rows = entry.variables.shape[0]
-        # Of a value and its derivatives, a source may have more than are asked for.
-        more = name in outputs and outputs[name].first == 0 and outputs[name].shape[0] > rows
-        if more:
-            pairs.append((entry.variables.symbol, outputs[name].symbol[:rows]))
+        if entry.source != "loop":
             continue
         if name not in outputs or outputs[name].shape != entry.variables.shape:
             raise InvalidInput(
-                f"{target.name} wants '{name}' of {rows} elements, which "
+                f"{target.name} wants '{name}' of {entry.variables.shape[0]} elements, which "
                 f"{source.name} does not put out; close a plant with the controller of its form"
             )
         pairs.append((entry.variables.symbol, outputs[name].symbol))

@@ -10,6 +10,7 @@ import enum
 import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import casadi as ca
 import numpy as np
@@ -119,14 +120,21 @@ def matrix(
 
 @dataclass(frozen=True)
 class Input:
-    """An input and the symbol of its time derivative, which the co-simulation may supply."""
+    """An input and the symbol of its time derivative, which the co-simulation may supply.
+
+    `source` says where it comes from: the other side of the ``loop``, or outside of it, a
+    ``reference`` or a ``disturbance``. A disturbance may be left unconnected, and is 0 then.
+    """
 
     variables: Variables
     derivative: ca.SX
+    source: Literal["loop", "reference", "disturbance"] = "loop"
 
     @classmethod
-    def of(cls, variables: Variables) -> Input:
-        return cls(variables, ca.SX.sym(f"der_{variables.name}", *variables.shape))
+    def of(
+        cls, variables: Variables, source: Literal["loop", "reference", "disturbance"] = "loop"
+    ) -> Input:
+        return cls(variables, ca.SX.sym(f"der_{variables.name}", *variables.shape), source)
 
 
 @dataclass(frozen=True)

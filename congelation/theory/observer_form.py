@@ -8,6 +8,7 @@ import numpy as np
 from congelation.errors import InvalidInput
 from congelation.theory.gains import upper_shift
 from congelation.theory.model import Input, Model, Output, State, Variables, scalar, vector
+from congelation.theory.options import disturbance as disturbance_of
 
 __all__ = ["checked_orders", "observer_form_plant", "parameter_regressor"]
 
@@ -26,13 +27,15 @@ def parameter_regressor(n: int, m: int, y: ca.SX, u: ca.SX) -> ca.SX:
     return ca.horzcat(inputs * u, -ca.SX.eye(n) * y)
 
 
-def observer_form_plant(n: int = 2, m: int = 0) -> Model:
+def observer_form_plant(n: int = 2, m: int = 0, disturbance: bool = False) -> Model:
     """The plant (27), x' = S x + F^T(y, u) theta, y = x_1.
 
     Parameters
     ----------
     n, m : int
         Order, and degree of the numerator: theta = [b_m .. b_0, a_{n-1} .. a_0].
+    disturbance : bool
+        With the input d, x' = .. + d.
     """
     checked_orders(n, m)
     x = vector("x", n, "State x of (27)")
@@ -41,10 +44,16 @@ def observer_form_plant(n: int = 2, m: int = 0) -> Model:
     y = x.symbol[0]
     F_T = parameter_regressor(n, m, y, u.symbol)
     rate = ca.DM(upper_shift(n)) @ x.symbol + F_T @ theta.symbol
+    inputs = [Input.of(u)]
+    if disturbance:
+        d = disturbance_of(n)
+        inputs.append(Input.of(d, "disturbance"))
+        rate += d.symbol
+    about = "disturbed, " if disturbance else ""
     return Model(
         name="ObserverFormPlant",
-        description=f"Plant (27) in observable canonical form, n = {n}, m = {m}",
-        inputs=(Input.of(u),),
+        description=f"Plant (27) in observable canonical form, {about}n = {n}, m = {m}",
+        inputs=tuple(inputs),
         states=(State(x, rate, start=(1.0,) + (0.0,) * (n - 1)),),
         parameters=(),
         outputs=(

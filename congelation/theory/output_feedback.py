@@ -23,7 +23,7 @@ from congelation.theory.model import (
     vector,
 )
 from congelation.theory.observer_form import checked_orders
-from congelation.theory.options import Options, reference_input
+from congelation.theory.options import Options, reference
 
 __all__ = [
     "OutputFeedbackDesign",
@@ -56,6 +56,7 @@ class OutputFeedbackSymbols:
     corrected: Variables | None = None
     yr: Variables | None = None
     q: Variables | None = None
+    q_d: Variables | None = None
     D_hat: Variables | None = None
     gamma_D: Variables | None = None
 
@@ -212,7 +213,7 @@ def output_feedback_design(
         sign_b_m=scalar("sign_b_m", "Sign of the high-frequency gain b_m, Assumption 3"),
     )
     if chosen.tracking:
-        symbols = replace(symbols, yr=reference_input(rho).variables)
+        symbols = replace(symbols, yr=reference(rho))
     if chosen.unknown_radius:
         symbols = replace(
             symbols,
@@ -229,6 +230,9 @@ def output_feedback_design(
         if chosen.tracking:
             weight = scalar("q", "Weight of the reference in Young's inequality")
             symbols = replace(symbols, q=weight)
+        if chosen.disturbance:
+            weight = scalar("q_d", "Weight of the disturbance in Young's inequality")
+            symbols = replace(symbols, q_d=weight)
     filter_design = filter_factory(n)
     k_filter = KFilter(
         m,
@@ -255,7 +259,9 @@ def _damping(design: OutputFeedbackDesign) -> ca.SX:
 
     With a reference y^2 <= (1 + q) z_1^2 + (1 + 1/q) y_r^2. Completing squares leaves
     sum_i (x_tilde_2 - Delta_1 y)^2 / (4 d_i); (59) drops Delta_1, the variation of a_{n-1}, which
-    y' holds directly, and halves what its own proof gives.
+    y' holds directly, and halves what its own proof gives. A disturbance joins Delta_1 y there,
+    and F^T Delta in the filter's error; the split of the square in parts 1 + g, 1 + 1/g, with
+    g = r epsilon, keeps what it leaves finite where delta_1 is 0.
     """
     symbols = design.symbols
     if symbols.D_hat is not None:
@@ -269,6 +275,14 @@ def _damping(design: OutputFeedbackDesign) -> ca.SX:
     weight = ca.sum1(1 / (4 * symbols.d.symbol))
     if symbols.q is not None:
         weight *= 1 + symbols.q.symbol
+    if symbols.q_d is not None:
+        g, delta, delta_1 = (
+            design.filter_design.disturbance_gain,
+            symbols.delta.symbol,
+            symbols.delta_1.symbol,
+        )
+        corrected = (1 + g) * (delta_1**2 + g * delta**2)
+        weight *= 1 + symbols.q_d.symbol
     return -symbols.damping.symbol * (choice * corrected + (1 - choice) * printed) * weight
 
 
@@ -414,6 +428,7 @@ def output_feedback_model(design: OutputFeedbackDesign) -> Model:
         (symbols.delta_1, 1.0, Domain.NONNEGATIVE),
         (symbols.gamma_D, 1.0, Domain.POSITIVE),
         (symbols.q, 1.0, Domain.POSITIVE),
+        (symbols.q_d, 1.0, Domain.POSITIVE),
         (symbols.damping, 1.0, Domain.BOOLEAN),
         (symbols.corrected, 1.0, Domain.BOOLEAN),
         (symbols.sign_b_m, 1.0, Domain.SIGN),
@@ -423,7 +438,10 @@ def output_feedback_model(design: OutputFeedbackDesign) -> Model:
         name="OutputFeedbackController",
         description=f"Output feedback controller (53)-(55) for the plant (27), n = {n}, m = {m}"
         + also,
-        inputs=tuple(Input.of(v) for v in (symbols.y, symbols.yr) if v is not None),
+        inputs=(
+            Input.of(symbols.y),
+            *(Input.of(v, "reference") for v in (symbols.yr,) if v is not None),
+        ),
         states=tuple(states),
         parameters=(
             Parameter(symbols.c, (1.0,) * rho, Domain.POSITIVE),

@@ -28,7 +28,7 @@ from congelation.theory.model import (
     scalar,
     vector,
 )
-from congelation.theory.options import Options, reference_input
+from congelation.theory.options import Options, reference
 from congelation.theory.strict_feedback import SYSTEM_60, Regressors, regressors_of
 
 __all__ = [
@@ -61,6 +61,7 @@ class StateFeedbackSymbols:
     delta: Variables | None = None
     yr: Variables | None = None
     epsilon_r: Variables | None = None
+    epsilon_d: Variables | None = None
     D_hat: Variables | None = None
     gamma_D: Variables | None = None
     rho_hat: Variables | None = None
@@ -112,10 +113,13 @@ class StateFeedbackSymbols:
             delta = scalar("delta", "Radius of theta(t), Assumption 1")
             found = replace(found, delta=delta)
         if options.tracking:
-            found = replace(found, yr=reference_input(n).variables)
+            found = replace(found, yr=reference(n))
             if not options.bound_estimator:
                 weight = scalar("epsilon_r", "Weight of the reference in Young's inequality")
                 found = replace(found, epsilon_r=weight)
+        if options.disturbance:
+            weight = scalar("epsilon_d", "Weight of the disturbance in Young's inequality")
+            found = replace(found, epsilon_d=weight)
         if options.varying_gain:
             found = replace(
                 found,
@@ -167,6 +171,8 @@ class StateFeedbackStep:
     ----------
     z, alpha : casadi.SX, (1, 1)
         z_i of (12) and alpha_i of (15).
+    m : casadi.SX, (1, n)
+        e_i^T - d alpha_{i-1}/dx: z_i' holds m x'.
     w, wbar : casadi.SX, (p, 1), (p, N)
         w_i of (13); column j of wbar is wbar_{i,j} of (25): w_i = wbar [z; y_r; ..].
     v, vbar : casadi.SX, (q, 1), (q, N)
@@ -189,6 +195,7 @@ class StateFeedbackStep:
 
     z: ca.SX
     alpha: ca.SX
+    m: ca.SX
     w: ca.SX
     wbar: ca.SX
     v: ca.SX
@@ -377,11 +384,13 @@ def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
     dalpha_dx, dalpha_dtheta, dalpha_dyr, dalpha_deta, dalpha_dt = _gradient(
         alpha_before, x, estimates, yr, eta, t
     )
-    phi = ca.horzcat(*design.regressors.at(x))
-    w = phi @ (_e(i, n) - dalpha_dx).T  # (13)
+    m = _e(i, n) - dalpha_dx  # what multiplies x', and so a disturbance, in z_i'
+    w = ca.horzcat(*design.regressors.at(x)) @ m.T  # (13)
     v = w if design.Upsilon is None else design.Upsilon.T @ w
-    zeta = T = drift = E = wbar = vbar = symbols.row()
-    if symbols.eta is not None:  # no damping, so no factors either
+    zeta, T, drift, E, wbar, vbar = (symbols.row() for _ in range(6))
+    if symbols.epsilon_d is not None:
+        zeta[:n] += _disturbance_damping(symbols, (*(s.m for s in steps), m))
+    if symbols.eta is not None:  # no damping (26), so no factors either
         size = ca.sqrt(ca.sumsqr(w) + SMALLEST_SQUARE)
         v = ca.vertcat(v, symbols.damping.symbol * size * ca.tanh(size * z / symbols.eta.symbol))
     else:
@@ -389,8 +398,7 @@ def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
         wbar = _regressor_factor(design.factors, ca.vertcat(*(s.T for s in steps), T), dalpha_dx)
         vbar = wbar if design.Upsilon is None else design.Upsilon.T @ wbar
         mixed = (*(s.wbar for s in steps), wbar)
-        zeta = symbols.row()
-        zeta[:n] = _damping(symbols, tuple(rows[:, :n] for rows in mixed))
+        zeta[:n] += _damping(symbols, tuple(rows[:, :n] for rows in mixed))
         if symbols.epsilon_r is not None:
             zeta[:n] += _tracking_damping(symbols, tuple(rows[:, n:] for rows in mixed))
         if symbols.D_hat is not None:  # the regressor of D_hat is z_i, in Controller 1 alone
@@ -419,6 +427,7 @@ def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
     return StateFeedbackStep(
         z,
         alpha,
+        m,
         w,
         wbar,
         v,
@@ -482,6 +491,13 @@ def _tracking_damping(symbols: StateFeedbackSymbols, rbar: tuple[ca.SX, ...]) ->
     if symbols.epsilon_r is None:
         return ca.SX(1, symbols.x.symbol.numel())
     return symbols.damping.symbol * _triangular(symbols, rbar, symbols.epsilon_r)
+
+
+def _disturbance_damping(symbols: StateFeedbackSymbols, m: tuple[ca.SX, ...]) -> ca.SX:
+    """zeta^d_i: the same for the rows m_i, as z_i' holds m_i d."""
+    if symbols.epsilon_d is None:
+        return ca.SX(1, symbols.x.symbol.numel())
+    return symbols.damping.symbol * _triangular(symbols, m, symbols.epsilon_d)
 
 
 def _triangular(symbols: StateFeedbackSymbols, rows: tuple[ca.SX, ...], weight: Variables) -> ca.SX:
@@ -593,6 +609,7 @@ def state_feedback_model(design: StateFeedbackDesign) -> Model:
         (symbols.epsilon, (1.0,), Domain.POSITIVE),
         (symbols.delta, (1.0,), Domain.NONNEGATIVE),
         (symbols.epsilon_r, (1.0,), Domain.POSITIVE),
+        (symbols.epsilon_d, (1.0,), Domain.POSITIVE),
         (symbols.gamma_D, (1.0,), Domain.POSITIVE),
         (symbols.decay, (0.0,), Domain.NONNEGATIVE),
         (symbols.gamma, (1.0,), Domain.POSITIVE),
@@ -608,7 +625,10 @@ def state_feedback_model(design: StateFeedbackDesign) -> Model:
     return Model(
         name="StateFeedbackController",
         description=f"State feedback controller (19) for the plant (9), n = {n}, p = {p}{also}",
-        inputs=tuple(Input.of(v) for v in (symbols.x, symbols.yr) if v is not None),
+        inputs=(
+            Input.of(symbols.x),
+            *(Input.of(v, "reference") for v in (symbols.yr,) if v is not None),
+        ),
         states=tuple(
             State(v, rate, start=(START_OF_ETA if v is symbols.eta else 0.0,) * v.symbol.numel())
             for v, rate in zip(moving, design.estimate_rates, strict=True)

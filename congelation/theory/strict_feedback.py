@@ -12,6 +12,7 @@ from congelation.errors import InvalidInput
 from congelation.theory.expressions import parse
 from congelation.theory.gains import upper_shift
 from congelation.theory.model import Input, Model, Output, State, scalar, vector
+from congelation.theory.options import disturbance as disturbance_of
 
 __all__ = [
     "SYSTEM_60",
@@ -209,7 +210,9 @@ def hadamard_defect(regressors: Nonlinear) -> tuple[int, float]:
 
 
 def strict_feedback_plant(
-    phibar: ArrayLike | Regressors = SYSTEM_60, varying_gain: bool = False
+    phibar: ArrayLike | Regressors = SYSTEM_60,
+    varying_gain: bool = False,
+    disturbance: bool = False,
 ) -> Model:
     """The plant (9), x' = S x + Phi^T(x) theta + e_n u, for any n and p.
 
@@ -219,6 +222,8 @@ def strict_feedback_plant(
         See `regressors_of`.
     varying_gain : bool
         With the input gain b(t), x_n' = b(t) u + .., which is then the last element of theta.
+    disturbance : bool
+        With the input d, x' = .. + d.
     """
     regressors = regressors_of(phibar)
     n, p = regressors.orders
@@ -232,11 +237,17 @@ def strict_feedback_plant(
     Phi = ca.horzcat(*regressors.at(x.symbol))
     e_n = ca.DM(np.eye(n)[:, -1:])
     rate = ca.DM(upper_shift(n)) @ x.symbol + Phi.T @ theta.symbol[:p] + e_n @ (gain * u.symbol)
+    inputs = [Input.of(u)]
+    if disturbance:
+        d = disturbance_of(n)
+        inputs.append(Input.of(d, "disturbance"))
+        rate += d.symbol
     about = "with the input gain b(t), " if varying_gain else ""
+    about += "disturbed, " if disturbance else ""
     return Model(
         name="StrictFeedbackPlant",
         description=f"Plant (9) in parametric strict-feedback form, {about}n = {n}, p = {p}",
-        inputs=(Input.of(u),),
+        inputs=tuple(inputs),
         states=(State(x, rate, start=(1.0,) + (0.0,) * (n - 1)),),
         parameters=(),
         outputs=(Output(x, differentiated=True),),

@@ -115,8 +115,8 @@ class Certification:
         on which it stays within them; None where there is none, which `unlevelled` explains.
     unlevelled : str
     ultimate : float or None
-        Of a design that holds under leakage: what V ends below. None where V tends to 0, where the
-        bound depends on a reference, or where V bounds nothing of the kind (output feedback).
+        Of a design that holds under leakage: what V ends below. None where V tends to 0, or where
+        the bound depends on a reference or a disturbance (metric ``ultimate_bound``).
     """
 
     design: Design
@@ -346,31 +346,40 @@ def _of_scenario(scenario: Scenario) -> list[Design]:
             )
         ]
         start = tuple(found.start.tolist())
-        designs.append(Design(variant.name, found.certified, radius, remarks, *_box(bounds), start))
+        disturbed = found.disturbed or any(
+            _input_of(c.target) == "d" for c in case.system.connections
+        )
+        loop = found.opened(disturbed)
+        designs.append(Design(variant.name, loop, radius, remarks, *_box(bounds), start))
     return designs
 
 
 def _alone(case: Case) -> Case:
-    """The one loop of a case, without what drives its dtheta or its reference.
+    """The one loop of a case, without what drives its dtheta, its reference or its disturbance.
 
-    The certificate holds for every theta(t) and reference, however they come about.
+    The certificate holds for each of them, however they come about.
     """
     loops = loops_of(case)
-    driven = [c for c in case.system.connections if _is_driven(c.target)]
+    driven = [c for c in case.system.connections if _input_of(c.target) in _OUTSIDE]
     if len(loops) != 1 or not driven:
         return case
     names = {component.name for component in loops[0]}
     connections = tuple(
         c
         for c in case.system.connections
-        if not _is_driven(c.target) and {c.source.split(".")[0], c.target.split(".")[0]} == names
+        if _input_of(c.target) not in _OUTSIDE
+        and {c.source.split(".")[0], c.target.split(".")[0]} == names
     )
     return replace(case, system=replace(case.system, components=loops[0], connections=connections))
 
 
-def _is_driven(target: str) -> bool:
-    """Whether an input is one that theta(t) or a reference comes in by."""
-    return target.partition(".")[2].split("[")[0] in ("dtheta", "yr")
+_OUTSIDE = ("dtheta", "yr", "d")
+"""Inputs by which theta(t), a reference or a disturbance come in."""
+
+
+def _input_of(target: str) -> str:
+    """``yr`` of ``controller.yr[1]``."""
+    return target.partition(".")[2].split("[")[0]
 
 
 def _radius(

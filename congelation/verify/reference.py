@@ -12,7 +12,7 @@ import json
 import math
 import zipfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any
 
@@ -32,8 +32,8 @@ from congelation.results.record import Trajectory
 from congelation.scenario.parts import Case, Experiment, Scalar
 from congelation.signals import Profile
 from congelation.signals import Segment as Piece
-from congelation.theory.closed_loop import ClosedLoop, Segment, close
-from congelation.theory.model import Model, Output
+from congelation.theory.closed_loop import ClosedLoop, Segment, Source, close
+from congelation.theory.model import Model, Output, Variables
 
 __all__ = [
     "LARGEST_DEVIATION",
@@ -82,8 +82,10 @@ class Reference:
     ----------
     plant, controller : str
         Names of the components.
-    source : str
-        Name of the component that the controller's reference comes from; empty: there is none.
+    sources : tuple of str
+        Names of the components that a reference or a disturbance comes from.
+    disturbed : bool
+        Whether the plant is disturbed, by one of them or by start values of its input.
     loop : ClosedLoop
     profiles : tuple of Profile
         theta(t), component by component, without the constants dtheta.
@@ -97,7 +99,8 @@ class Reference:
 
     plant: str
     controller: str
-    source: str
+    sources: tuple[str, ...]
+    disturbed: bool
     loop: ClosedLoop
     profiles: tuple[Profile, ...]
     offsets: tuple[float, ...]
@@ -112,6 +115,8 @@ class Reference:
     def solve(self, times: Floats) -> dict[str, Floats]:
         """The solution at increasing `times`: the values of each ``component.variable``.
 
+        Those that the loop determines: a disturbance that comes from a profile is none of them.
+
         Raises
         ------
         CongelationError
@@ -121,17 +126,34 @@ class Reference:
         if not solution.success:
             raise CongelationError(f"the monolithic solution stopped: {solution.message}")
         names = (*self.loop.state_names, *self.loop.output_names)
+        given = {
+            f"source{k}.{name}"
+            for k, model in enumerate(self.loop.sources, start=1)
+            for y in model.outputs
+            if model.signals and ca.depends_on(y.variables.symbol, model.signals.variables.symbol)
+            for name in y.variables.names
+        }
         return {
             self._name(name): values
             for name, values in zip(names, (*solution.states.T, *solution.outputs.T), strict=True)
+            if name not in given
         }
 
     @cached_property
     def certified(self) -> ClosedLoop:
-        """The loop that the certificate is of: whatever the reference, it is among the states."""
-        if self.loop.source is None:
-            return self.loop
-        return close(self.loop.plant, self.loop.controller, self.loop.values)
+        """The loop that the certificate is of."""
+        return self.opened(self.disturbed)
+
+    def opened(self, disturbed: bool) -> ClosedLoop:
+        """The loop for any reference, and for any disturbance or none: open inputs are states.
+
+        A law with damping against disturbances promises something for each of them.
+        """
+        plant, sources = self.loop.plant, []
+        names = [n for i in plant.inputs if i.source == "disturbance" for n in i.variables.names]
+        if names and not disturbed and not {"epsilon_d", "q_d"} & self.loop.values.keys():
+            sources = [_constant(dict.fromkeys(names, 0.0))]
+        return close(plant, self.loop.controller, self.loop.values, sources)
 
     @property
     def certified_names(self) -> tuple[str, ...]:
@@ -140,8 +162,9 @@ class Reference:
 
     def _name(self, name: str) -> str:
         side, _, variable = name.partition(".")
-        names = {"plant": self.plant, "controller": self.controller, "source": self.source}
-        return f"{names[side]}.{variable}"
+        names = {"plant": self.plant, "controller": self.controller}
+        names |= {f"source{k}": name for k, name in enumerate(self.sources, start=1)}
+        return f"{names.get(side, '')}.{variable}"  # held inputs are of no component
 
 
 def reference(case: Case) -> Reference:
@@ -153,36 +176,54 @@ def reference(case: Case) -> Reference:
         If the system is no loop of a plant and its controller, both from `congelation build`, and
         maybe of a Reference that the controller follows.
     """
-    plant, controller, source = _loop_members(case.system)
+    plant, controller, blocks = _loop_members(case.system)
     models = _models(plant, controller)
-    members = (plant, controller) if source is None else (plant, controller, source)
+    members = (plant, controller, *blocks)
     values = {component.name: start_values_of(component) for component in members}
-    model = _constant(models[1], values[controller.name]) if source is None else _block(source)
-    _check_loop(case.system, plant, controller, source, models)
-    loop = close(
-        *models,
-        _parameters(models[1], values[controller.name]),
-        model,
-        _parameters(model, values[source.name]) if source is not None and model else None,
-    )
+    links = _check_loop(case.system, plant, controller, blocks, models)
+    sources = [
+        Source(model, _parameters(model, values[block.name]), links[block.name])
+        for block in blocks
+        for model in (_block(block),)
+    ]
+    # What no block drives is held at its start value.
+    driven = {name for block in blocks for name in links[block.name]}
+    held = {
+        name: float(values[component.name][name])
+        for component, model in zip((plant, controller), models, strict=True)
+        for entry in model.inputs
+        if entry.source != "loop"
+        for name in entry.variables.names
+        if name not in driven
+    }
+    if held:
+        sources.append(_constant(held))
+    loop = close(*models, _parameters(models[1], values[controller.name]), sources)
+    derived = (*models, *(source.model for source in sources[: len(blocks)]))
     states = {
         state.variables.name: [
             float(values[c.name][name]) for name in start_names(state, c is plant)
         ]
-        for c, derived in zip(members, (*models, model), strict=False)
-        if derived is not None
-        for state in derived.states
+        for c, model in zip(members, derived, strict=True)
+        for state in model.states
     }
     profiles, offsets = theta_of(values[plant.name])
-    signals = [] if source is None else theta_of(values[source.name])[0]
+    signals = [p for block in blocks for p in theta_of(values[block.name])[0]]
+    disturbed = any(
+        name in driven or held[name] != 0
+        for entry in models[0].inputs
+        if entry.source == "disturbance"
+        for name in entry.variables.names
+    )
     return Reference(
         plant.name,
         controller.name,
-        "" if source is None else source.name,
+        tuple(block.name for block in blocks),
+        disturbed,
         loop,
         tuple(profiles),
         tuple(offsets),
-        _segments(case, profiles, offsets, signals, timed=source is not None),
+        _segments(case, profiles, offsets, signals, timed=bool(blocks)),
         loop.start(states),
     )
 
@@ -193,17 +234,11 @@ def _block(component: Component) -> Model:
     return BLOCKS[about["form"]].model(about["structure"])
 
 
-def _constant(controller: Model, values: Mapping[str, Scalar]) -> Model | None:
-    """The reference of a controller that nothing drives: the held start values of its input."""
-    outputs = []
-    for entry in controller.inputs:
-        v = entry.variables
-        if v.first == 0:
-            numbers = ca.SX(ca.DM([float(values[name]) for name in v.names]))
-            outputs.append(Output(replace(v, symbol=numbers)))
-    if not outputs:
-        return None
-    return Model("Constant", "A constant reference", (), (), (), tuple(outputs))
+def _constant(values: Mapping[str, float]) -> Source:
+    """A source that holds elements of inputs at these values."""
+    held = Variables("held", ca.SX(ca.DM(list(values.values()))), "Inputs that nothing drives")
+    model = Model("Constant", "Held inputs", (), (), (), (Output(held),))
+    return Source(model, links=dict(zip(values, held.names, strict=True)))
 
 
 def compare(found: Reference, trajectory: Trajectory) -> tuple[Deviation, ...]:
@@ -279,18 +314,20 @@ def _deviation(variable: str, values: Floats, exact: Floats) -> Deviation:
     return Deviation(variable, error, error / peak if peak > 0.0 else math.inf)
 
 
-def _loop_members(system: System) -> tuple[Component, Component, Component | None]:
-    """The plant, the controller, and the block that the controller's reference comes from."""
+def _loop_members(system: System) -> tuple[Component, Component, tuple[Component, ...]]:
+    """The plant, the controller, and the blocks that a reference or a disturbance comes from."""
     about = {component.name: _spec(component) for component in system.components}
     roles = {about[component.name]["role"]: component for component in system.components}
-    references = [c for c in system.components if about[c.name]["form"] == "reference"]
-    alone = len(system.components) == 2 + len(references) and len(references) <= 1
+    blocks = [c for c in system.components if about[c.name]["form"] in ("reference", "disturbance")]
+    references = [c for c in blocks if about[c.name]["form"] == "reference"]
+    alone = len(system.components) == 2 + len(blocks) and len(references) <= 1
     if not alone or not set(_ROLES) <= set(roles):
         names = ", ".join(component.name for component in system.components)
         raise InvalidInput(
-            f"a plant and its controller are needed, and a Reference at most, not {names}"
+            "a plant and its controller are needed, one Reference at most, and Disturbances, not "
+            f"{names}"
         )
-    return roles["plant"], roles["controller"], next(iter(references), None)
+    return roles["plant"], roles["controller"], tuple(blocks)
 
 
 def _spec(component: Component) -> dict[str, Any]:
@@ -338,21 +375,43 @@ def _check_loop(
     system: System,
     plant: Component,
     controller: Component,
-    reference: Component | None,
+    blocks: Sequence[Component],
     models: tuple[Model, Model],
-) -> None:
-    """The monolithic loop connects equal names both ways; the system has to do just that."""
-    wanted = set()
+) -> dict[str, dict[str, str]]:
+    """The elements of inputs that each block drives, and the elements of outputs that drive them.
+
+    The monolithic loop connects equal names both ways, and all of a reference; the system has to
+    do just that.
+    """
+    wanted: set[str] = set()
+    outside: dict[str, tuple[str, str]] = {}
     for one, other, model in ((controller, plant, models[0]), (plant, controller, models[1])):
         for entry in model.inputs:
-            source = one if entry.variables.first == 1 else reference
-            if source is not None:
-                names = entry.variables.names
-                wanted |= {f"{source.name}.{name} -> {other.name}.{name}" for name in names}
-    given = {link.name for link in system.resolve().links}
+            names = entry.variables.names
+            if entry.source == "loop":
+                wanted |= {f"{one.name}.{name} -> {other.name}.{name}" for name in names}
+            else:
+                outside |= {f"{other.name}.{name}": (name, entry.source) for name in names}
+    driven: dict[str, dict[str, str]] = {block.name: {} for block in blocks}
+    given, following = set(), ""
+    for link in system.resolve().links:
+        source, _, target = link.name.partition(" -> ")
+        block, _, output = source.partition(".")
+        if block not in driven or target not in outside:
+            given.add(link.name)
+            continue
+        name, kind = outside[target]
+        driven[block][name] = output
+        if kind == "reference":
+            following = block
+            given.add(link.name)
+    if following:
+        references = (target for target, (_, kind) in outside.items() if kind == "reference")
+        wanted |= {f"{following}.{outside[target][0]} -> {target}" for target in references}
     for name in sorted(wanted ^ given):
         verb = "is missing" if name in wanted else "is none of the loop's"
         raise InvalidInput(f"connection '{name}' {verb}")
+    return driven
 
 
 def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]:

@@ -1,8 +1,8 @@
-"""Mutants compiled from lag.c: for each rule about behaviour, a library that breaks it."""
+"""Mutants of lag.c: for each rule about behaviour, a library that breaks it."""
 
 from __future__ import annotations
 
-from mutant import Mutant, extra
+from mutant import Mutant, exchanging, extra
 
 __all__ = ["BINARY_MUTANTS"]
 
@@ -168,8 +168,30 @@ _TABLE = (
     ("FMI2-ROBUST-04", "hundredth_fault_crashes", "the process was killed by SIGABRT in fmi2Reset"),
 )
 
+_EXCHANGE = (
+    ("FMI2-ME-01", "event_mode_refused", "fmi2EnterEventMode returned fmi2Error"),
+    (
+        "FMI2-ME-02",
+        "exchange_order_unchecked",
+        "fmi2EnterContinuousTimeMode in continuous-time mode returned fmi2OK",
+    ),
+    ("FMI2-ME-03", "states_ignored", "x was set to"),
+    ("FMI2-ME-04", "derivative_other_than_variable", "by fmi2GetDerivatives"),
+    ("FMI2-ME-05", "derivative_remembers", "after an evaluation elsewhere"),
+    ("FMI2-ME-06", "completed_step_moves", "x went from 1.0 to"),
+    ("FMI2-ME-07", "nominal_is_zero", "the nominal value of x is 0.0"),
+    ("FMI2-ME-08", "event_in_the_past", "the next event is announced for 0.0"),
+    ("FMI2-ME-08", "iteration_endless", "needs another call after 100"),
+    ("FMI2-ME-09", "exchange_has_another_law", "measured: "),
+    ("FMI2-ME-10", "exchange_has_another_law", "x differs by"),
+    ("FMI2-ME-11", "jacobian_forgotten", "d der(x) / d x is 0.0, measured"),
+    ("FMI2-ME-12", "exchange_state_without_x", "after fmi2SetFMUstate x is"),
+    ("FMI2-ME-13", "exchange_survives_reset", "after the reset x starts with"),
+)
+
 BINARY_MUTANTS: tuple[Mutant, ...] = (
     *(Mutant(rule, says, mutation=mutation) for rule, mutation, says in _TABLE),
+    *(Mutant(rule, says, mutation=m, edit=exchanging) for rule, m, says in _EXCHANGE),
     Mutant(
         "FMI2-STEP-04",
         "not done after 2 s (in fmi2DoStep (h = inf))",

@@ -1,9 +1,10 @@
-"""The test FMU, compiled once for each mutation that is asked for."""
+"""The test FMU: compiled once, and with the mutation that is asked for."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from threading import Lock
 
 import lag
 import pytest
@@ -13,12 +14,11 @@ import pytest
 def library(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], bytes]:
     """The shared library with a mutation, or "" for the correct one."""
     folder = tmp_path_factory.mktemp("libraries")
-    known: dict[str, bytes] = {}
+    compiling = Lock()
 
     def compiled(mutation: str = "") -> bytes:
-        if mutation not in known:
-            known[mutation] = lag.compiled(folder, mutation)
-        return known[mutation]
+        with compiling:
+            return lag.compiled(folder, mutation)
 
     return compiled
 

@@ -1,4 +1,4 @@
-"""Building the test FMU, whole or broken: compiled with a mutation, or edited after packing."""
+"""Building the test FMU, whole or broken: with a mutation, or edited after packing."""
 
 from __future__ import annotations
 
@@ -25,21 +25,38 @@ def header(name: str) -> str:
     return (files("fmpy") / "c-code" / name).read_text(encoding="utf-8")
 
 
+# Mutations of how the library is linked. All others are names that a compiled library looks for
+# behind this mark.
+_LINKED = ("function_missing", "library_missing", "libm_left_to_host", "needs_its_host")
+_MARK = b"chosen mutations: "
+
+
 def compiled(folder: Path, mutation: str = "") -> bytes:
     """The shared library, with mutations (separated by blanks) or none."""
-    target = folder / f"lag-{mutation or 'correct'}.so"
-    flags = [f"-DMUTATION_{name}=1" for name in mutation.split()]
-    flags = flags or ["-Wall", "-Wextra", "-Werror"]
-    libraries = [] if "libm_left_to_host" in mutation else ["-lm"]
+    words = mutation.split()
+    linked = [name for name in _LINKED if name in words]
+    target = folder / f"lag-{'-'.join(linked) or 'plain'}.so"
+    if not target.is_file():
+        _compile(target, linked)
+    library = bytearray(target.read_bytes())
+    text = "".join(f"{name} " for name in words if name not in linked).encode()
+    place = library.index(_MARK) + len(_MARK)
+    assert not any(library[place : place + len(text) + 1]), "there is no room for these names"
+    library[place : place + len(text)] = text
+    return bytes(library)
+
+
+def _compile(target: Path, linked: list[str]) -> None:
+    flags = [f"-DMUTATION_{name}=1" for name in linked] or ["-Wall", "-Wextra", "-Werror"]
+    libraries = [] if "libm_left_to_host" in linked else ["-lm"]
     with as_file(files("fmpy") / "c-code") as headers:
         command = ["cc", "-shared", "-fPIC", "-O0", *flags, f"-I{headers}"]
-        if "library_missing" in mutation:
+        if "library_missing" in linked:
             # Linked to another library, which is then taken away.
-            gone = folder / "libgone.so"
+            gone = target.with_name("libgone.so")
             subprocess.run(["cc", "-shared", "-o", gone, "-x", "c", "/dev/null"], check=True)
-            libraries += ["-Wl,--no-as-needed", f"-L{folder}", "-lgone"]
+            libraries += ["-Wl,--no-as-needed", f"-L{target.parent}", "-lgone"]
         subprocess.run([*command, SOURCES / "lag.c", "-o", target, *libraries], check=True)
-    return target.read_bytes()
 
 
 def read_entries(library: bytes) -> Entries:

@@ -9,7 +9,19 @@ from pathlib import Path
 
 import lag
 
-__all__ = ["XML", "Edit", "Mutant", "Pack", "archive", "extra", "renamed", "swap", "without", "xml"]
+__all__ = [
+    "XML",
+    "Edit",
+    "Mutant",
+    "Pack",
+    "archive",
+    "exchanging",
+    "extra",
+    "renamed",
+    "swap",
+    "without",
+    "xml",
+]
 
 XML = "modelDescription.xml"
 
@@ -33,7 +45,7 @@ class Mutant:
     says : str
         What the finding has to say, so that it is caught for the right reason.
     mutation : str
-        Compiled in, "" for none.
+        Chosen in the library, "" for none.
     edit, pack : callable
         Applied to the contents; used to write the archive.
     companion : callable, optional
@@ -66,6 +78,22 @@ def swap(old: str, new: str) -> Edit:
         return {**entries, XML: text.replace(old, new, 1).encode()}
 
     return edit
+
+
+# The FMU is for model exchange, too.
+exchanging = swap(
+    "  <CoSimulation\n",
+    """  <ModelExchange
+    modelIdentifier="lag"
+    canNotUseMemoryManagementFunctions="true"
+    canGetAndSetFMUstate="true"
+    canSerializeFMUstate="true"
+    providesDirectionalDerivative="true">
+    <SourceFiles><File name="lag.c"/></SourceFiles>
+  </ModelExchange>
+  <CoSimulation
+""",
+)
 
 
 def xml(rule: str, says: str, old: str, new: str) -> Mutant:

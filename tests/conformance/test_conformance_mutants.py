@@ -10,7 +10,7 @@ import lag
 import pytest
 from archive_mutants import ARCHIVE_MUTANTS
 from binary_mutants import BINARY_MUTANTS
-from mutant import Edit, Mutant, extra, swap
+from mutant import Edit, Mutant, exchanging, extra, swap
 from xml_mutants import XML_MUTANTS
 
 from congelation.conformance.checker import Checker
@@ -27,9 +27,16 @@ def test_every_rule_has_a_mutant() -> None:
     assert {rule.id for rule in RULES} == {mutant.rule for mutant in MUTANTS}
 
 
-def test_correct_fmu_passes_every_rule(correct: Path) -> None:
-    (fmu,) = check([correct]).fmus
-    assert [str(v) for v in fmu.verdicts if v.outcome is not Outcome.PASS] == []
+def test_correct_fmu_passes_every_rule(
+    correct: Path, library: Callable[[str], bytes], tmp_path: Path
+) -> None:
+    """As an FMU of both kinds; one rule is for those of co-simulation alone."""
+    both = lag.build(tmp_path, library(""), edit=exchanging)
+    (fmu,) = check([both]).fmus
+    (alone,) = [v for v in fmu.verdicts if v.outcome is not Outcome.PASS]
+    assert alone.rule.id == "FMI2-VARS-10"
+    (verdict,) = check([correct], rules=["FMI2-VARS-10"]).fmus[0].verdicts
+    assert verdict.outcome is Outcome.PASS
 
 
 @pytest.fixture(scope="module")

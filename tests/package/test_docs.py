@@ -12,6 +12,7 @@ import typer
 from lxml import html
 
 from congelation.cli import app
+from tests.report.browser import WIDTHS, chromium, needs_browser
 from tests.scenarios import ROOT
 
 
@@ -53,7 +54,46 @@ def test_no_page_fetches_anything_from_elsewhere(site: Path) -> None:
         assert not [source for source in sources if "://" in source], page
 
 
+@pytest.mark.slow
+def test_figures_and_equations_are_in_the_pages(site: Path) -> None:
+    """Figures that code cells draw, and what each FMU is, from its own page."""
+    for name in ("start", "tutorials/own_plant"):
+        assert html.parse(site / f"{name}.html").xpath("//*[contains(@class, 'cell_output')]//img")
+    for page in (site / "generated/fmus").glob("*.html"):
+        assert len(html.parse(page).xpath("//article//h1/following-sibling::p")) > 1, page
+
+
+@pytest.mark.slow
+@needs_browser
+def test_no_page_is_wider_than_its_window(site: Path) -> None:
+    """Tables, code and long formulas scroll, or are broken into lines, in boxes of their own."""
+    pages = [*site.glob("*.html"), *site.glob("*/*.html"), site / "generated/fmus/Delay.html"]
+    too_wide = []
+    with chromium() as browser:
+        window = browser.new_page()
+        for page in pages:
+            window.goto(page.absolute().as_uri(), wait_until="domcontentloaded")
+            for width in (*WIDTHS, 1400):  # from 1400 on there is room for both side bars
+                window.set_viewport_size({"width": width, "height": 900})
+                if window.evaluate("document.documentElement.scrollWidth > innerWidth"):
+                    too_wide.append((page.name, width))
+    assert not too_wide
+
+
+COLUMNS = 100  # of code
+
 PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("*/*.md")])
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_code_fits_beside_the_navigation(page: Path) -> None:
+    """As many characters as the page is wide on a screen of 1400 pixels."""
+    fence = None  # what a block between ``` is, while in one
+    for line in page.read_text("utf-8").splitlines():
+        if line.strip().startswith("```"):
+            fence = line.strip()[3:] if fence is None else None
+        elif line.startswith("    ") if fence is None else fence != "math":
+            assert len(line.removeprefix("    ")) <= COLUMNS, line
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))

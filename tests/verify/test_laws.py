@@ -69,6 +69,74 @@ def test_output_feedback_that_tracks_with_an_unknown_radius(tmp_path: Path) -> N
     assert deviation(cg.System(components, links), 1.0) < 1e-5
 
 
+DISTURBED = {"Disturbed": {}, "DisturbedOutput": {"sigma": 0.05}}
+
+
+def disturbed(law: str, start: dict[str, object], driven: bool = True) -> cg.System:
+    """A loop whose plant is disturbed by a block in d[2] and by a constant in d[1]."""
+    measured = "y" if "Output" in law else "x"
+    links = [
+        cg.Connection(f"plant.{measured}", f"law.{measured}"),
+        cg.Connection("law.u", "plant.u"),
+    ]
+    components = [
+        cg.Component("plant", FMUS / f"{law}Plant.fmu", {"d[1]": 0.2} if driven else {}),
+        cg.Component("law", FMUS / f"{law}Controller.fmu", start),
+    ]
+    if driven:
+        profile = {"profile[1].sine[1].amplitude": 0.7, "profile[1].square[1].amplitude": 0.5}
+        components.append(cg.Component("block", FMUS / "Disturbance.fmu", profile))
+        links.append(cg.Connection("block.d[1]", "plant.d[2]"))
+    return cg.System(tuple(components), tuple(links))
+
+
+@pytest.mark.parametrize(("law", "start"), DISTURBED.items(), ids=DISTURBED)
+def test_a_disturbed_loop_as_fmus_agrees_with_the_monolithic_solution(
+    law: str, start: dict
+) -> None:
+    assert deviation(disturbed(law, start), 0.5) < 1e-5
+
+
+def test_what_disturbs_makes_a_difference_and_nothing_is_no_disturbance() -> None:
+    runs = [
+        cg.simulate(disturbed("Disturbed", {}, driven), stop_time=0.3, tolerance=1e-6)
+        for driven in (True, False)
+    ]
+    ends = [run.values[-1, run.names.index("plant.x[1]")] for run in runs]
+    assert abs(ends[0] - ends[1]) > 1e-3
+
+
+def test_a_law_is_certified_for_the_disturbances_that_it_is_made_for(tmp_path: Path) -> None:
+    """The law without damping against d: for none, and not where a block drives d."""
+    text = (ROOT / "scenarios" / "disturbed.toml").read_text()
+    text = text[: text.index("[[variants]]")].replace(
+        "DisturbedController", "StateFeedbackController"
+    )
+    file = tmp_path / "scenario.toml"
+    for link, verdict in ((', "disturbance.d -> plant.d"', Verdict.VIOLATED), ("", Verdict.HOLDS)):
+        changed = text.replace(', "disturbance.d -> plant.d"', link)
+        if not link:
+            start = changed.index("[components.disturbance]")
+            changed = changed[:start] + changed[changed.index("[experiment]") :]
+        file.write_text(changed)
+        (found,) = certify(file, samples=60)
+        assert found.verdict is verdict
+
+
+def test_the_run_of_a_disturbed_loop_keeps_to_its_bound(tmp_path: Path) -> None:
+    """V' at every point, the mean of the error, and the ultimate bound."""
+    text = (ROOT / "scenarios" / "disturbed.toml").read_text()
+    file = tmp_path / "scenario.toml"
+    file.write_text(text.replace("stop_time = 40.0", "stop_time = 0.2"))
+    for run in cg.run(file, out=tmp_path / "out").runs:
+        holds = run.variant != "Controller 2"
+        assert (run.metrics["margin"] < 1e-9) is holds
+        if holds:
+            assert run.metrics["share"] < 1.0
+        if run.variant.endswith("leakage"):
+            assert run.metrics["ultimate_share"] <= 1.0 + 1e-9
+
+
 @pytest.mark.parametrize("name", ["bound_estimator", "filtered_transformation"])
 def test_rivals_as_fmus(tmp_path: Path, name: str) -> None:
     plant, controller = cg.build(ROOT / "specs" / f"{name}.toml", out=tmp_path)

@@ -136,7 +136,8 @@ MISTAKES = {
     "two plants": (
         "[experiment]",
         f'[components.other]\nfmu = "{FMUS}/ScalarPlant.fmu"\n[experiment]',
-        "a plant and its controller are needed, and a Reference at most, not plant, controller, "
+        "a plant and its controller are needed, one Reference at most, and Disturbances, not "
+        "plant, controller, "
         "other",
     ),
 }

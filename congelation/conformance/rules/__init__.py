@@ -1,8 +1,9 @@
 """The rules: `RULES`, in the order in which they are reported.
 
 Each module registers its rules as it is imported. What is common to all kinds of FMU is in
-`package`, `document`, `variables` and `structure`; the rest is about co-simulation. Rules for model
-exchange or for FMI 3.0 are further modules here, with a bench that knows their functions.
+`package`, `document`, `variables` and `structure`; `exchange` is about model exchange, the rest
+about co-simulation. Rules for FMI 3.0 are further modules here, with a bench that knows their
+functions.
 
 They are imported when `RULES` is first used: a process that looks at one rule imports its module
 alone, which takes a third of the time.
@@ -32,6 +33,7 @@ _MODULES = (
     "capabilities",
     "fmustate",
     "serialization",
+    "exchange",
     "logging",
     "robustness",
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from congelation.conformance.bench import Bench
-from congelation.conformance.binding import FUNCTIONS
+from congelation.conformance.binding import EXCHANGE_FUNCTIONS, FUNCTIONS
 from congelation.conformance.host import loads_bare, run_in_host
 from congelation.conformance.rule import Level, dynamic
 from congelation.conformance.trajectory import demand, first_difference
@@ -18,7 +18,7 @@ _HOST_RUNS = 5
 
 @dynamic("FMI2-LIB-01", "2.3, 4.2.4", Level.VIOLATION, needs="library")
 def exports(bench: Bench) -> Iterator[str]:
-    """The shared library can be loaded and exports every function for co-simulation.
+    """The shared library can be loaded and exports every function of its kinds.
 
     Standard: "it is required that all functions specified for Model Exchange and/or Co-Simulation
     are present, even if they are only needed for capabilities that the FMU does not support"
@@ -31,6 +31,9 @@ def exports(bench: Bench) -> Iterator[str]:
     """
     for name in FUNCTIONS:
         if not bench.library.has(name):
+            yield f"fmi2{name} is not exported"
+    for name in EXCHANGE_FUNCTIONS if bench.description.exchange_flags else ():
+        if not bench.exchange_library.has(name):
             yield f"fmi2{name} is not exported"
 
 

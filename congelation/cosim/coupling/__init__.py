@@ -5,6 +5,7 @@ auto            Auto: the most accurate one that the FMUs allow
 held            Jacobi, GaussSeidel, Sampled
 derivative      Derivative
 hermite         Hermite; its polynomials in interpolant
+model_exchange  ModelExchange, which is no co-simulation
 points          what the links were at the last points, for Derivative and Hermite
 polynomial      plain mathematics
 """
@@ -28,6 +29,7 @@ from congelation.cosim.coupling.base import (
 from congelation.cosim.coupling.derivative import Derivative
 from congelation.cosim.coupling.held import GaussSeidel, Jacobi, Sampled
 from congelation.cosim.coupling.hermite import Hermite
+from congelation.cosim.coupling.model_exchange import ModelExchange
 from congelation.errors import InvalidInput, nearest
 
 __all__ = [
@@ -39,6 +41,7 @@ __all__ = [
     "GaussSeidel",
     "Hermite",
     "Jacobi",
+    "ModelExchange",
     "Sampled",
     "Stepper",
     "Trial",
@@ -47,7 +50,10 @@ __all__ = [
 ]
 
 COUPLINGS: Mapping[str, type[Coupling]] = MappingProxyType(
-    {kind.name: kind for kind in (Auto, Jacobi, GaussSeidel, Derivative, Hermite, Sampled)}
+    {
+        kind.name: kind
+        for kind in (Auto, Jacobi, GaussSeidel, Derivative, Hermite, Sampled, ModelExchange)
+    }
 )
 """Every coupling by its name."""
 

@@ -2,9 +2,12 @@
  *
  *     x' = u - k x  (if active),  y = +-g x,  w = x + a u + table[1] + table[2]
  *
- * solved exactly, so that the size of the steps does not matter; a comes from a resource. Compiled
- * with -DMUTATION_<name>=1 it is broken in the way that the name says. */
+ * solved exactly, so that the size of the steps does not matter; a comes from a resource. As a model
+ * exchange it has a time event every quarter of a second, at which nothing changes. With a mutation
+ * chosen it is broken in the way that the name says. */
 
+#define _GNU_SOURCE
+#include <dlfcn.h>
 #include <fenv.h>
 #include <math.h>
 #include <stdarg.h>
@@ -19,13 +22,19 @@
 #define fmi2CancelStep not_exported
 #endif
 
-/* MUTANT(name) is 1 if MUTATION_<name> is defined as 1, else 0. */
-#define MUTATION_MARK_1 0,
-#define MUTATION_SECOND(ignored, value, ...) value
-#define MUTATION_SELECT(mark) MUTATION_SECOND(mark 1, 0, 0)
-#define MUTATION_PASTE(value) MUTATION_SELECT(MUTATION_MARK_##value)
-#define MUTATION_EXPAND(value) MUTATION_PASTE(value)
-#define MUTANT(name) MUTATION_EXPAND(MUTATION_##name)
+/* The names of mutations are written behind the colon of a compiled library, each followed by a
+   blank (lag.py); those that change how it is linked are compiled in. */
+static char chosen[128] = "chosen mutations: ";
+
+static int is_chosen(const char *mutation)
+{
+    const char *found = strstr(chosen, mutation);
+    size_t length = strlen(mutation);
+    while (found && !(found[-1] == ' ' && found[length] == ' ')) found = strstr(found + 1, mutation);
+    return found != NULL;
+}
+
+#define MUTANT(name) is_chosen(#name)
 
 #define GUID "{4f8a1d52-6f0e-4a53-9a55-2f7c0b1d9e01}"
 #define LABEL 64
@@ -35,13 +44,15 @@ enum { FIRST = 100, SIGN, STEPS, INTEGERS_END };
 enum { ACTIVE = 200, NAME = 300 };
 enum { PLUS = 1, MINUS = 3 };
 
-typedef enum { INSTANTIATED, INITIALIZATION, STEPPING, FAILED, TERMINATED, BROKEN } Mode;
+typedef enum {
+    INSTANTIATED, INITIALIZATION, STEPPING, FAILED, TERMINATED, BROKEN, EVENT, CONTINUOUS
+} Mode;
 
 /* Everything that a simulation needs to go on; plain data, so that a copy is a state. */
 typedef struct {
     char magic[8];
     Mode mode;
-    int set_up, stop_defined;
+    int set_up, stop_defined, exchange;
     double real[REALS];
     double slope, stop, last_size;
     int first, sign, steps, active;
@@ -62,12 +73,20 @@ typedef struct {
 static const State FRESH = {
     .magic = "lag 1",
     .end = "end",
-    .real = {[U] = 0.25, [K] = MUTANT(start_differs) ? 1.6 : 1.5, [G] = MUTANT(more_digits) ? 2.0 / 3.0 : 2.0, [ANSWER] = 42.0, [X] = 1.0},
+    .real = {[U] = 0.25, [K] = 1.5, [G] = 2.0, [ANSWER] = 42.0, [X] = 1.0},
     .first = 3,
     .sign = PLUS,
     .active = 1,
     .label = "one",
 };
+
+static State fresh(void)
+{
+    State s = FRESH;
+    if (MUTANT(start_differs)) s.real[K] = 1.6;
+    if (MUTANT(more_digits)) s.real[G] = 2.0 / 3.0;
+    return s;
+}
 
 /* For mutations that carry something from one call or instance to another. */
 static State *shared;
@@ -111,23 +130,26 @@ static fmi2Status expect(Instance *i, int allowed, const char *call)
     return report(i, fmi2Error, "%s is not allowed in this state", call);
 }
 
+static int in_exchange(const Instance *i)
+{
+    return i->now.mode == EVENT || i->now.mode == CONTINUOUS;
+}
+
 /* ---- library ---- */
 
-#ifdef MUTATION_reload_refused
 __attribute__((constructor)) static void loaded(void)
 {
+    if (!MUTANT(reload_refused)) return;
     if (getenv("LAG_LOADED")) abort();
     setenv("LAG_LOADED", "1", 1);
 }
-#endif
-#ifdef MUTATION_exit_crashes
-__attribute__((destructor)) static void unloaded(void) { abort(); }
-#endif
+
+__attribute__((destructor)) static void unloaded(void)
+{
+    if (MUTANT(exit_crashes)) abort();
+}
 #ifdef MUTATION_needs_its_host
 extern int Py_IsInitialized(void);
-#endif
-#ifdef MUTATION_python_expected
-#include <dlfcn.h>
 #endif
 
 const char *fmi2GetTypesPlatform(void) { return fmi2TypesPlatform; }
@@ -197,16 +219,15 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
     }
     i->callbacks = *functions;
     i->name = strdup(MUTANT(instance_name_wrong) ? "lag" : name);
-    i->now = FRESH;
+    i->now = fresh();
+    i->now.exchange = type == fmi2ModelExchange;
     i->logging = logging;
     i->events = i->discards = i->errors = 1;
     if (MUTANT(large_leak)) memset(malloc(100000), 1, 100000);
     if (MUTANT(small_leak)) memset(malloc(5000), 1, 5000);
     if (MUTANT(directory_changed) && chdir("/") != 0) abort();
     if (MUTANT(rounding_changed)) fesetround(FE_UPWARD);
-#ifdef MUTATION_python_expected
-    if (dlsym(RTLD_DEFAULT, "Py_IsInitialized") == NULL) abort();
-#endif
+    if (MUTANT(python_expected) && dlsym(RTLD_DEFAULT, "Py_IsInitialized") == NULL) abort();
 #ifdef MUTATION_needs_its_host
     if (!Py_IsInitialized()) abort();
 #endif
@@ -217,7 +238,7 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
         return NULL;
     }
     int known = MUTANT(guid_unchecked) || strcmp(guid, GUID) == 0;
-    if (type != fmi2CoSimulation || !known || !read_resource(i, uri)) {
+    if ((type != fmi2CoSimulation && type != fmi2ModelExchange) || !known || !read_resource(i, uri)) {
         if (!MUTANT(refusal_unexplained)) {
             report(i, fmi2Error, "type, GUID or resource location are not those of this FMU");
         }
@@ -289,7 +310,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
     if (expect(i, i->now.mode == INITIALIZATION, "fmi2ExitInitializationMode")) return fmi2Error;
     if (MUTANT(initialization_fails)) return fmi2Error;
     if (MUTANT(input_must_rest) && i->now.real[U] != 0.25) return report(i, fmi2Error, "singular");
-    i->now.mode = STEPPING;
+    i->now.mode = i->now.exchange ? EVENT : STEPPING;
     if (MUTANT(shared_state)) shared = &i->now;
     if (MUTANT(input_cleared)) i->now.real[U] = 0.0;
     return report(i, fmi2OK, "initialized at %g", i->now.real[TIME]);
@@ -298,7 +319,7 @@ fmi2Status fmi2ExitInitializationMode(fmi2Component c)
 fmi2Status fmi2Terminate(fmi2Component c)
 {
     Instance *i = c;
-    int allowed = i->now.mode == STEPPING || i->now.mode == FAILED;
+    int allowed = i->now.mode == STEPPING || i->now.mode == FAILED || in_exchange(i);
     if (expect(i, allowed, "fmi2Terminate")) return fmi2Error;
     i->now.mode = TERMINATED;
     if (MUTANT(values_lost_at_the_end)) i->now.real[X] = 0.0;
@@ -312,8 +333,11 @@ fmi2Status fmi2Reset(fmi2Component c)
     if (MUTANT(reset_refused) && i->now.mode == TERMINATED) return fmi2Error;
     double x = i->now.real[X], k = i->now.real[K], u = i->now.real[U];
     Mode before = i->now.mode;
-    i->now = FRESH;
+    int exchange = i->now.exchange;
+    i->now = fresh();
+    i->now.exchange = exchange;
     if (MUTANT(state_survives_reset) && before == STEPPING) i->now.real[X] = x;
+    if (MUTANT(exchange_survives_reset) && before == CONTINUOUS) i->now.real[X] = x;
     if (MUTANT(parameter_survives_reset)) i->now.real[K] = k;
     if (MUTANT(input_error_survives_reset) && !isfinite(u)) poison = 1.0;
     if (MUTANT(parameter_error_survives_reset) && !isfinite(k)) poison = 1.0;
@@ -327,7 +351,8 @@ fmi2Status fmi2Reset(fmi2Component c)
 static double slope(const State *s)
 {
     double x = s->real[X];
-    return s->active ? s->real[U] - s->real[K] * x : 0.0;
+    double k = s->real[K] * (s->exchange && MUTANT(exchange_has_another_law) ? 1.25 : 1.0);
+    return s->active ? s->real[U] - k * x : 0.0;
 }
 
 static double real_of(const Instance *i, fmi2ValueReference r)
@@ -412,7 +437,7 @@ fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference r[], size_t n
 /* Start values before the steps, inputs and tunable parameters at communication points. */
 static int settable(const Instance *i, fmi2ValueReference r)
 {
-    if (r == U) return i->now.mode == INITIALIZATION || i->now.mode == STEPPING;
+    if (r == U) return i->now.mode == INITIALIZATION || i->now.mode == STEPPING || in_exchange(i);
     if (r == G && i->now.mode == STEPPING && !MUTANT(tunable_refused)) return 1;
     return i->now.mode == INSTANTIATED || i->now.mode == INITIALIZATION;
 }
@@ -498,6 +523,7 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
     Instance *i = c;
     State before = i->now;
     i->now = *(State *)state;
+    if (MUTANT(exchange_state_without_x) && i->now.exchange) i->now.real[X] = before.real[X];
     if (MUTANT(state_without_x)) i->now.real[X] = before.real[X];
     if (MUTANT(state_without_inputs)) i->now.real[U] = before.real[U];
     if (MUTANT(state_without_mode)) i->now.mode = before.mode;
@@ -581,6 +607,11 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     for (size_t k = 0; k < m; ++k) {
         result[k] = 0.0;
         for (size_t j = 0; j < n; ++j) {
+            if (knowns[j] == X) {
+                if (unknowns[k] == DER_X && !MUTANT(jacobian_forgotten)) result[k] -= i->now.active * i->now.real[K] * seed[j];
+                if (unknowns[k] == W) result[k] += seed[j];
+                continue;
+            }
             if (knowns[j] != U) return unknown(i, "fmi2GetDirectionalDerivative", knowns[j]);
             if (unknowns[k] == DER_X) result[k] += i->now.active * seed[j];
             if (unknowns[k] == W) result[k] += (MUTANT(directional_wrong) ? 2.0 : i->feedthrough) * seed[j];
@@ -730,4 +761,102 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2S
     (void)kind;
     (void)value;
     return no_status(c);
+}
+
+/* ---- model exchange ---- */
+
+fmi2Status fmi2EnterEventMode(fmi2Component c)
+{
+    Instance *i = c;
+    if (MUTANT(event_mode_refused)) return fmi2Error;
+    if (expect(i, i->now.mode == CONTINUOUS, "fmi2EnterEventMode")) return fmi2Error;
+    i->now.mode = EVENT;
+    return fmi2OK;
+}
+
+fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
+{
+    Instance *i = c;
+    memset(info, 0, sizeof *info);
+    if (expect(i, i->now.mode == EVENT, "fmi2NewDiscreteStates")) return fmi2Error;
+    if (MUTANT(iteration_endless)) info->newDiscreteStatesNeeded = fmi2True;
+    info->nextEventTimeDefined = fmi2True;
+    info->nextEventTime = 0.25 * (floor(i->now.real[TIME] / 0.25 + 1e-9) + (MUTANT(event_in_the_past) ? 0.0 : 1.0));
+    return fmi2OK;
+}
+
+fmi2Status fmi2EnterContinuousTimeMode(fmi2Component c)
+{
+    Instance *i = c;
+    if (MUTANT(exchange_order_unchecked) && i->now.mode == CONTINUOUS) return fmi2OK;
+    if (expect(i, i->now.mode == EVENT, "fmi2EnterContinuousTimeMode")) return fmi2Error;
+    i->now.mode = CONTINUOUS;
+    return fmi2OK;
+}
+
+fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean final, fmi2Boolean *event,
+                                       fmi2Boolean *terminate)
+{
+    Instance *i = c;
+    (void)final;
+    *event = *terminate = fmi2False;
+    if (expect(i, i->now.mode == CONTINUOUS, "fmi2CompletedIntegratorStep")) return fmi2Error;
+    if (MUTANT(completed_step_moves)) i->now.real[X] += 1e-9;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetTime(fmi2Component c, fmi2Real time)
+{
+    Instance *i = c;
+    if (expect(i, in_exchange(i), "fmi2SetTime")) return fmi2Error;
+    i->now.real[TIME] = time;
+    return fmi2OK;
+}
+
+fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n)
+{
+    Instance *i = c;
+    if (n != 1 || expect(i, i->now.mode == CONTINUOUS, "fmi2SetContinuousStates")) return fmi2Error;
+    if (!MUTANT(states_ignored)) i->now.real[X] = x[0];
+    return fmi2OK;
+}
+
+static int solvable(const Instance *i, size_t given, size_t wanted)
+{
+    return i->now.exchange && i->now.mode != INSTANTIATED && given == wanted;
+}
+
+fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n)
+{
+    Instance *i = c;
+    if (expect(i, solvable(i, n, 1), "fmi2GetContinuousStates")) return fmi2Error;
+    x[0] = i->now.real[X];
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real derivatives[], size_t n)
+{
+    Instance *i = c;
+    if (expect(i, solvable(i, n, 1), "fmi2GetDerivatives")) return fmi2Error;
+    derivatives[0] = slope(&i->now);
+    if (MUTANT(derivative_other_than_variable)) derivatives[0] *= 2.0;
+    if (MUTANT(derivative_remembers)) derivatives[0] += 1e-9 * (double)(++counter);
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real nominals[], size_t n)
+{
+    Instance *i = c;
+    int allowed = i->now.exchange && n == 1;
+    if (expect(i, allowed, "fmi2GetNominalsOfContinuousStates")) return fmi2Error;
+    nominals[0] = MUTANT(nominal_is_zero) ? 0.0 : 1.0;
+    return fmi2OK;
+}
+
+fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real indicators[], size_t n)
+{
+    Instance *i = c;
+    (void)indicators;
+    if (expect(i, solvable(i, n, 0), "fmi2GetEventIndicators")) return fmi2Error;
+    return fmi2OK;
 }
