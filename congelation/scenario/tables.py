@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -80,9 +81,23 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
         "measured": measured,
         "warnings": (
             *_doubtful(resolved, document.file),
+            *_without_values(metrics, experiment, given, document.file),
             *_forgotten(resolved, {*given, *left_open, *reader.driven}, document.file),
         ),
     }
+
+
+def _without_values(
+    metrics: Sequence[MetricSpec], experiment: Experiment, given: Collection[str], file: str
+) -> Iterator[str]:
+    """A line for each metric of times after the end of every run."""
+    for found in metrics:
+        after = found.options.get("after", -math.inf)
+        if after > experiment.stop_time and f"{EXPERIMENT}.stop_time" not in given:
+            yield (
+                f"{file}: metrics.{found.name}.after = {after:g} is past stop_time = "
+                f"{experiment.stop_time:g}: the metric has no value"
+            )
 
 
 def _component(section: Section, name: str) -> Component:
