@@ -64,11 +64,11 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
     _check_figures(top["figures"], figures, experiment, variants)
     sweep = None
     if "sweep" in document.data:
-        sweep = read_sweep(top["sweep"], reader, [variant.name for variant in variants])
+        sweep = read_sweep(top["sweep"], reader, {v.name: v.settings for v in variants})
     given = {f"{c.name}.{name}" for c in components for name in c.start}
     given |= {name for variant in variants for name in variant.settings}
     given |= set(sweep.names()) if sweep is not None else set()
-    left_open = document.attempt("open", partial(_open, resolved, top["open"]))
+    left_open = document.attempt("open", partial(_open, resolved, reader.driven, top["open"]))
     return {
         "title": top["title"],
         "system": system,
@@ -219,13 +219,15 @@ def _driven(resolved: ResolvedSystem) -> dict[str, str]:
     return found
 
 
-def _open(resolved: ResolvedSystem, names: Iterable[str]) -> set[str]:
+def _open(resolved: ResolvedSystem, driven: Mapping[str, str], names: Iterable[str]) -> set[str]:
     """The scalar inputs that names stand for."""
     found: set[str] = set()
     for name in names:
         for entry in resolved.recorded([name]):
             if entry.variable.causality != "input":
                 raise InvalidInput(f"'{name}' is of causality {entry.variable.causality}, no input")
+            if link := driven.get(entry.name):
+                raise InvalidInput(f"'{entry.name}' is driven by '{link}'; leave one of them out")
             found.add(entry.name)
     return found
 

@@ -130,6 +130,7 @@ def test_shipped_fmus_say_which_inputs_are_left_alone(tmp_path: Path) -> None:
     [
         ("controller.y", "open: record 'controller.y': "),
         ("plant.x", "open: 'plant.x' is of causality output, no input"),
+        ("plant.u", "open: 'plant.u' is driven by 'controller.u -> plant.u'; leave one of them"),
     ],
 )
 def test_open_names_inputs(tmp_path: Path, name: str, message: str) -> None:
