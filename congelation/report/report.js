@@ -98,7 +98,7 @@ window.congelation = (() => {
     const text = css("--text"), line = css("--line"), ground = css("--ground");
     for (const found of bokeh._all_models.values()) {
       if (found.type === "Figure") found.setv({background_fill_color: ground,
-        border_fill_color: ground, outline_line_color: line});
+        border_fill_color: ground, border_line_color: ground, outline_line_color: line});
       else if (found.type.endsWith("Axis")) found.setv({axis_label_text_color: text,
         major_label_text_color: text, axis_line_color: line, major_tick_line_color: line,
         minor_tick_line_color: null});

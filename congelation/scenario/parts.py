@@ -81,9 +81,23 @@ def agreed(values: Mapping[str, Any], place: Callable[[str], str]) -> Experiment
 
 @dataclass(frozen=True)
 class MetricSpec:
-    """A metric of a group of variables, under the name of its column.
+    """A number to compute of every run, under the name of its column.
 
-    `of` is empty where the metric is of the closed loop as a whole.
+    Parameters
+    ----------
+    name : str
+    metric : str
+        Which one: ``peak``, ``settling_time``, ``ise``, ..
+    of : str
+        The variable, or the vector whose norm is measured; empty where the metric is of the
+        closed loop as a whole.
+    options : mapping of str to float
+        What the metric takes, such as ``below`` of ``settling_time``.
+
+    Examples
+    --------
+    >>> cg.MetricSpec("settling", "settling_time", "plant.x", {"below": 1e-2}).of
+    'plant.x'
     """
 
     name: str
