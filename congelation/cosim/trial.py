@@ -247,7 +247,8 @@ class Trial:
         if self._length is None:
             h = min(SHARE * (stop - start), BEFORE_JUMP * (jump - start))
         else:
-            h = min(self._length, stop - start)
+            # Where lengths have to vary, a second step of half the length ends before the stop.
+            h = min(self._length, (stop - start) / (2.0 if self._varies else 1.0))
         ensemble.C[:] = 0.0
         ensemble.C[0] = ensemble.Y[ensemble.source]
         known = ensemble.source_derivative != NO_DERIVATIVE
