@@ -318,10 +318,12 @@ class _Trial:
         experiment = self._experiment
         start, stop = experiment.start_time, experiment.stop_time
         step = experiment.step if experiment.tolerance is None else None
+        varies = step is None or not divides(start, stop, step)
         if step is None:
             h = min(SHARE * (stop - start), BEFORE_JUMP * (jump - start))
         else:
-            h = min(step, stop - start)
+            # Where lengths have to vary, a second step of half the length ends before the stop.
+            h = min(step, (stop - start) / 2 if varies else stop - start)
         ensemble.C[:] = 0.0
         ensemble.C[0] = ensemble.Y[ensemble.source]
         known = ensemble.source_derivative != NO_DERIVATIVE
@@ -332,7 +334,6 @@ class _Trial:
         self._pass(ensemble, start, h)
         after = ensemble.Y.copy()
         self.lack = self._flat(ensemble, before, after)
-        varies = step is None or not divides(start, stop, step)
         if self.lack is None and self._saves:
             ensemble.restore()
             ensemble.read_all()

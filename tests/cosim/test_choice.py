@@ -10,8 +10,9 @@ import pytest
 
 from benchmarks.coupling import parts as benchmark
 from benchmarks.coupling.problems import problem
-from congelation.cosim import SlavePool, Status, simulate
+from congelation.cosim import Component, Connection, SlavePool, Status, System, simulate
 from congelation.errors import InvalidInput
+from tests.scenarios import FMUS
 
 from .c_fmus import SOURCES
 
@@ -176,6 +177,18 @@ def test_bars_of_a_run_without_a_coupling(pretenders, parts):
         assert result.coupling == "derivative"
         assert error <= result.trust.error < 3.0 * error
         assert result.choice
+
+
+@pytest.mark.parametrize("step", [0.4, 0.3, 5.0])
+def test_the_trial_ends_before_the_run_does(step):
+    """These FMUs refuse steps past the stop time, and take steps of any length before it."""
+    system = System(
+        (Component("p", FMUS / "ScalarPlant.fmu"), Component("c", FMUS / "ScalarController.fmu")),
+        (Connection("p.x", "c.x"), Connection("c.u", "p.u")),
+    )
+    result = simulate(system, stop_time=0.5, step=step)
+    assert result.completed, result.message
+    assert "declares" not in result.choice
 
 
 def test_a_system_without_connections_needs_no_abilities(parts):

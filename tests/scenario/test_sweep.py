@@ -287,6 +287,12 @@ MISTAKES = {
         "controller.epsilon",
         "sweep.axes[4].set sets 'controller.epsilon', which sweep.axes[1] sets already",
     ),
+    "a variable that variants set": (
+        'set = "controller.gamma"\nvalues = [1, 2]',
+        'set = "controller.damping"\nvalues = [true, false]',
+        "sweep.axes[4].set sets 'controller.damping', which the variant 'Controller 1' sets "
+        "already; leave it out there, or name the variants that the axis is of: variants = [..]",
+    ),
     "row of another length": (
         '["jacobi", 0.01]',
         '["jacobi"]',
