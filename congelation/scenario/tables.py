@@ -154,7 +154,7 @@ def _experiment(section: Section) -> Experiment:
         if isinstance(value, list):
             raise options.wrong(key, "one value")
     experiment = agreed(values, section.place)
-    periods = experiment.chosen_coupling.periods
+    periods = experiment.periods
     for key, value in options.data.items():
         if isinstance(value, Mapping) and key not in periods:
             raise options.error(key, "is no time; give it without a unit")

@@ -16,7 +16,7 @@ STYLE = files("congelation.report").joinpath("report.css").read_text("utf-8")
 GROUNDS = re.findall(r"--ground: (#[0-9a-f]{6})", STYLE)[:2]
 PALETTES = [
     re.findall(r"--v[0-7]: (#[0-9a-f]{6})", part)
-    for part in STYLE.split("@media (prefers-color-scheme: dark)")
+    for part in STYLE.split("@media screen and (prefers-color-scheme: dark)")
 ]
 
 # G. M. Machado, M. M. Oliveira, L. A. F. Fernandes, A Physiologically-based Model for Simulation of
