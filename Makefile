@@ -63,8 +63,8 @@ PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 # Debian's packages that tests use; a test that lacks one is skipped, and says so.
 SYSTEM_PACKAGES := chromium cppcheck
-# What test-platforms and fuzz use besides: 150 MB, half a minute.
-FURTHER_PACKAGES := wine64 qemu-user libc6-arm64-cross valgrind
+# What test-platforms and fuzz use besides: 300 MB, a minute.
+FURTHER_PACKAGES := wine64 qemu-user libc6-arm64-cross valgrind clang-14 libclang-rt-14-dev
 
 system-packages:
 	@for name in $(SYSTEM_PACKAGES); do \
