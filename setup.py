@@ -35,8 +35,11 @@ loop = Extension(
     depends=sorted(str(file) for file in folder.glob("*.[ch]")),
     extra_compile_args=[] if os.name == "nt" else ["-std=c99", "-O2", "-ffp-contract=off"],
     export_symbols=[
+        "integrator_rates",
+        "integrator_states",
         "loop_version",
         "run_adaptive",
+        "run_dop853",
         "run_exchange",
         "run_held",
         "run_points",

@@ -29,7 +29,14 @@ if TYPE_CHECKING:
         System,
         simulate,
     )
-    from congelation.cosim.coupling import Derivative, GaussSeidel, Hermite, Jacobi, Sampled
+    from congelation.cosim.coupling import (
+        Derivative,
+        GaussSeidel,
+        Hermite,
+        Jacobi,
+        ModelExchange,
+        Sampled,
+    )
     from congelation.cosim.experiment import Experiment
     from congelation.cosim.info import Info, info
     from congelation.design.attack import attack
@@ -41,7 +48,7 @@ if TYPE_CHECKING:
     from congelation.export.spec import Spec
     from congelation.results.results import Results, open_results
     from congelation.scenario.load import load_scenario
-    from congelation.scenario.parts import Variant
+    from congelation.scenario.parts import MetricSpec, Variant
     from congelation.scenario.scenario import Scenario
     from congelation.scenario.ssp import write_ssp as export_ssp
     from congelation.sweep.engine import run, sweep
@@ -61,6 +68,8 @@ __all__ = [
     "Info",
     "InvalidInput",
     "Jacobi",
+    "MetricSpec",
+    "ModelExchange",
     "Output",
     "Result",
     "Results",
@@ -100,9 +109,11 @@ _PLACES: Mapping[str, str] = {
     "Info": "cosim.info:Info",
     "InvalidInput": "errors:InvalidInput",
     "Jacobi": "cosim.coupling:Jacobi",
+    "MetricSpec": "scenario.parts:MetricSpec",
     "Output": "cosim:Output",
     "Result": "cosim:Result",
     "Results": "results.results:Results",
+    "ModelExchange": "cosim.coupling:ModelExchange",
     "Sampled": "cosim.coupling:Sampled",
     "Scenario": "scenario.scenario:Scenario",
     "SlaveError": "errors:SlaveError",

@@ -114,7 +114,15 @@ EXPERIMENT = Table(
             "text",
             "how inputs move between communication points",
             "auto",
-            choices=("auto", "jacobi", "gauss_seidel", "derivative", "hermite", "sampled"),
+            choices=(
+                "auto",
+                "jacobi",
+                "gauss_seidel",
+                "derivative",
+                "hermite",
+                "sampled",
+                "model_exchange",
+            ),
         ),
         Key("options", "table", "options of the coupling", table=VALUES),
         Key(

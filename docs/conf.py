@@ -31,6 +31,8 @@ html_theme = "furo"
 html_title = "congelation"
 html_extra_path = ["generated/files"]
 html_show_sphinx = False
+html_static_path = ["static"]
+html_css_files = ["site.css"]
 
 myst_enable_extensions = ["deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 4
@@ -50,20 +52,38 @@ napoleon_use_ivar = True
 
 
 html_math_renderer = "mathml"
+LONG_FORMULA, LONG_CELL, SHORT_CELL = 70, 60, 18  # characters
 
 
 def formula(translator, node: nodes.math | nodes.math_block) -> None:  # type: ignore[no-untyped-def]
     """Write a formula as MathML, which browsers show without fetching anything."""
     if isinstance(node, nodes.math_block):
         whole = convert(node.astext(), display="block")
-        translator.body.append(f'<div style="overflow-x: auto">{whole}</div>')
+        translator.body.append(f'<div class="scrolls">{whole}</div>')
     else:
-        translator.body.append(convert(node.astext()))
+        inline = convert(node.astext())
+        # One that is wider than a phone: a browser does not break formulas into lines.
+        long = len(node.astext()) > LONG_FORMULA
+        translator.body.append(f'<span class="scrolls">{inline}</span>' if long else inline)
     raise nodes.SkipNode
+
+
+def widths(app: Sphinx, document: nodes.document, page: str) -> None:
+    """Mark the cells of tables that need room, and those that should not be broken.
+
+    A browser makes the columns of a table as narrow as it can before it lets the table scroll.
+    """
+    for entry in document.findall(nodes.entry):
+        size = len(entry.astext())
+        if size > LONG_CELL:
+            entry["classes"].append("long")
+        elif size <= SHORT_CELL:
+            entry["classes"].append("short")
 
 
 def setup(app: Sphinx) -> None:
     """Write the generated pages before Sphinx looks for pages."""
     app.add_html_math_renderer("mathml", (formula, None), (formula, None))
+    app.connect("doctree-resolved", widths)
     app.connect("config-inited", lambda app, config: write_reference(HERE / "generated"))
     app.connect("config-inited", lambda app, config: write_notebooks(HERE))

@@ -12,15 +12,16 @@ import shutil
 from collections.abc import Iterator, Sequence
 from enum import Enum
 from pathlib import Path
+from zipfile import ZipFile
 
 import typer
+from lxml import html
 
 import congelation as cg
 from congelation.cli import app
 from congelation.cli.shared import EXIT_CODES
 from congelation.fmi.units import BASE, Unit, known_units
 from congelation.keys import SCENARIO, SPEC, json_schema
-from congelation.places import shipped
 from congelation.toml import Key, Table
 
 __all__ = ["write_notebooks", "write_reference"]
@@ -45,7 +46,7 @@ def write_reference(folder: Path) -> None:
         raise FileNotFoundError("fmus/ holds no FMU; the reference describes them: make fmus")
     for path in fmus:
         pages[f"fmus/{path.stem}.md"] = fmu(path)
-    pages["fmus.md"] = fmu_index([path.stem for path in fmus])
+    pages["fmus.md"] = fmu_index(fmus)
     for name, lines in pages.items():
         (folder / name).write_text("\n".join(lines) + "\n", "utf-8")
     for title, table in (("scenario", SCENARIO), ("spec", SPEC)):
@@ -65,7 +66,8 @@ def write_notebooks(folder: Path) -> None:
 
 
 def cell(text: object) -> str:
-    """A text as the cell of a table."""
+    """A text as the cell of a table; ``--option`` in it is no dash."""
+    text = re.sub(r"(?<![`\w])--\w[\w-]*", r"`\g<0>`", str(text))
     return str(text).replace("|", "\\|").replace("\n", " ").replace("<", "&lt;")
 
 
@@ -133,7 +135,11 @@ def keys(root: Table, what: str) -> list[str]:
         '`{value = 5, unit = "ms"}`.',
         "",
     ]
+    seen: list[Table] = []  # the terms of a profile are those of a plant and of a block
     for name, found in _tables(root, ""):
+        if any(found is other for other in seen):
+            continue
+        seen.append(found)
         lines += [f"## {name or 'The file'}", "", found.text, ""]
         rows = [_key(key) for key in (*found.keys, *((found.extra,) if found.extra else ()))]
         lines += table(["key", "value", "default", "what it is"], rows)
@@ -218,10 +224,17 @@ def fmu(path: Path) -> list[str]:
     """What an FMU is, its equations, and its variables."""
     found = cg.info(path)
     model = found.fmus[0]
-    lines = [f"# {path.stem}", "", model.description, ""]
-    equations = shipped("fmu_src") / "equations" / f"{path.stem}.html"
-    if equations.is_file():
-        lines += ["```{raw} html", equations.read_text("utf-8").strip(), "```", ""]
+    lines = [
+        "---",
+        "orphan: true",
+        "---",
+        f"# {path.stem}",
+        "",
+        "```{raw} html",
+        *equations(path),
+        "```",
+        "",
+    ]
     groups = (
         ("Inputs to connect", model.connect),
         ("Inputs to leave alone, unless their source is known", model.leave),
@@ -244,14 +257,33 @@ def fmu(path: Path) -> list[str]:
     return lines
 
 
-def fmu_index(names: Sequence[str]) -> list[str]:
+def equations(path: Path) -> Iterator[str]:
+    """What the FMU's own page says before its tables: what it is, and its equations."""
+    with ZipFile(path) as archive:
+        page = html.document_fromstring(archive.read("documentation/index.html").decode())
+    for element in page.find("body"):
+        if element.tag == "h2":
+            return
+        if element.tag != "h1":
+            yield html.tostring(element, encoding="unicode").strip()
+
+
+def fmu_index(paths: Sequence[Path]) -> list[str]:
+    """A table of all FMUs, each with a link to its page.
+
+    The pages stand in no table of contents: forty more entries in the navigation of every page
+    would take a third of the time of the build, and bury the others.
+    """
+    rows = [(f"[{path.stem}](fmus/{path.stem}.md)", _description(path)) for path in paths]
     return [
         "# The FMUs, one by one",
         "",
         "Those of the paper's examples, as `make fmus` builds them. For an FMU of your own "
         "`congelation info FILE.fmu` prints the same.",
         "",
-        "```{toctree}",
-        *(f"fmus/{name}" for name in names),
-        "```",
+        *table(["FMU", "what it is"], rows),
     ]
+
+
+def _description(path: Path) -> str:
+    return str(cg.info(path).fmus[0].description)

@@ -4,7 +4,7 @@ System, Component, Connection     what is coupled; loads no binary
 simulate                          the master
 Experiment, perform               the same as one value, and its run
 Jacobi, GaussSeidel, Derivative,
-Hermite, Sampled                  how inputs move between communication points
+Hermite, Sampled, ModelExchange   how inputs move between communication points
 COUPLINGS, make_coupling          the same by name
 Result, Status, Statistics        what a run leaves behind
 Output, Memory, ParquetFile       which rows are kept, and where
@@ -18,6 +18,7 @@ from congelation.cosim.coupling import (
     GaussSeidel,
     Hermite,
     Jacobi,
+    ModelExchange,
     Sampled,
     make_coupling,
 )
@@ -40,6 +41,7 @@ __all__ = [
     "Hermite",
     "Jacobi",
     "Memory",
+    "ModelExchange",
     "Output",
     "ParquetFile",
     "Result",

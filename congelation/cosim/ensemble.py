@@ -22,6 +22,7 @@ import numpy.typing as npt
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.system import (
     MAX_DERIVATIVE,
+    Link,
     Recorded,
     ResolvedSystem,
     derivative_name,
@@ -112,6 +113,8 @@ class Ensemble:
         Whether the derivatives of the recorded variables are read.
     events : bool
         Whether announcements of jumps are.
+    exchange : bool
+        Whether the slaves are ones of model exchange: their inputs are values at all times.
 
     Attributes
     ----------
@@ -157,8 +160,10 @@ class Ensemble:
         derivatives: bool,
         slopes: bool,
         events: bool,
+        exchange: bool = False,
     ) -> None:
         self.system = system
+        self._exchange = exchange
         self.slaves = tuple(slaves)
         self._plan_outputs(recorded, derivatives, slopes, events)
         self._plan_inputs(derivatives)
@@ -283,7 +288,7 @@ class Ensemble:
             [self.slope_place(*source) if derivatives else NO_DERIVATIVE for source in sources],
             np.intp,
         )
-        self.order = np.array([self.system.input_order(link) for link in self.links], np.intp)
+        self.order = np.array([self._input_order(link) for link in self.links], np.intp)
         self.nominal = np.array([link.output.nominal for link in self.links])
         self.columns: list[slice] = []
         self.hold: list[Call] = []
@@ -310,8 +315,14 @@ class Ensemble:
             self.writes.append(writes)
             self.hold.append(self._calls(slave, holds))
             self.write.append(self._calls(slave, writes))
-            self.write_calls.append(bool(links) + any(map(self.system.interpolates, links)))
+            self.write_calls.append(bool(links) + any(map(self._interpolates, links)))
             begin = columns.stop
+
+    def _input_order(self, link: Link) -> int:
+        return 0 if self._exchange else self.system.input_order(link)
+
+    def _interpolates(self, link: Link) -> bool:
+        return not self._exchange and self.system.interpolates(link)
 
     def _writes(self, columns: slice) -> list[Transfer]:
         """What sends a slave all of its columns of C."""
@@ -330,7 +341,7 @@ class Ensemble:
         ranked = [
             (order, k)
             for k, link in numbered
-            if self.system.interpolates(link)
+            if self._interpolates(link)
             for order in range(1, 1 + MAX_DERIVATIVE)
         ]
         if ranked:

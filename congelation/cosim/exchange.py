@@ -108,12 +108,7 @@ class Exchange:
         settle_discrete(ensemble, time)
         for _ in range(MAX_ITERATIONS):
             sent = ensemble.discrete_values() if links else []
-            for block in self.blocks:
-                self._read(block)
-                values = ensemble.Y[block.places]
-                self._send(block, values)
-                if block.loop:
-                    self._solve(block, values, time)
+            self.carry(time)
             # A comparison of Real inputs may have changed, and with it what drives a switch.
             if not links or ensemble.discrete_values() == sent:
                 ensemble.read_all()
@@ -125,6 +120,22 @@ class Exchange:
             f"at t = {time:.9g}: {', '.join(link.name for link in links)} keep changing with the "
             f"Real values around {self._all_names()}",
         )
+
+    def carry(self, time: float) -> None:
+        """Carry Real outputs over to inputs, in the order of the dependencies.
+
+        Raises
+        ------
+        RunEnded
+            LOOP_UNSOLVED.
+        SlaveError
+        """
+        for block in self.blocks:
+            self._read(block)
+            values = self._ensemble.Y[block.places]
+            self._send(block, values)
+            if block.loop:
+                self._solve(block, values, time)
 
     def settle(self, time: float) -> None:
         """Run, and again while that changes anything: for initialisation, where an output may

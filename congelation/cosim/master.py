@@ -11,7 +11,8 @@ from functools import partial
 import numpy as np
 
 from congelation.cosim.choice import Lack, chosen, without
-from congelation.cosim.coupling import Auto, Coupling
+from congelation.cosim.coupling import Auto, Coupling, ModelExchange
+from congelation.cosim.coupling.model_exchange import Smooth
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.experiment import (
     Experiment,
@@ -20,6 +21,7 @@ from congelation.cosim.experiment import (
     slave_tolerance,
 )
 from congelation.cosim.grid import GivenPoints, Grid
+from congelation.cosim.integration import integrate
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Columns, Output
 from congelation.cosim.result import Result, RunEnded, Statistics, Status
@@ -41,7 +43,7 @@ def simulate(
     stop_time: float,
     step: float | None = None,
     tolerance: float | None = None,
-    coupling: str | Coupling = "auto",
+    coupling: str | Coupling | Auto = Auto.name,
     options: Mapping[str, object] | None = None,
     record: Sequence[str] | None = None,
     output: Output | Sequence[Output] | None = None,
@@ -162,7 +164,7 @@ def perform(
     InvalidInput
         As in `simulate`.
     """
-    if isinstance(experiment.chosen_coupling, Auto):
+    if isinstance(experiment.given_coupling, Auto):
         choice = chosen(system, experiment, pool)
         return choice.added_to(
             perform(
@@ -186,6 +188,7 @@ def perform(
     require_abilities(resolved, experiment)
     recorded = resolved.recorded(experiment.record)
     names = tuple(item.name for item in recorded)
+    exchange = isinstance(experiment.chosen_coupling, ModelExchange)
     kinds = tuple((output.every, output.interval) for output in outputs)
     memory = Memory()
     status, message, statistics = Status.COMPLETED, Status.COMPLETED.value, Statistics()
@@ -195,14 +198,17 @@ def perform(
         ]
         lender = pool if pool is not None else stack.enter_context(SlavePool())
         try:
-            slaves = stack.enter_context(lender.lend(resolved.members))
+            slaves = stack.enter_context(lender.lend(resolved.members, exchange=exchange))
             session = lender.session(
                 # Runs that agree in this differ in start values alone.
                 (resolved.names, system.connections, experiment, kinds, tuple(lacks)),
                 slaves,
                 partial(_set_up, resolved, slaves, recorded, experiment, kinds),
             )
-            rows = [o.rows(session.columns, r) for o, r in zip(outputs, recorders, strict=True)]
+            rows = [
+                output.rows(session.columns, recorder, visits=exchange)
+                for output, recorder in zip(outputs, recorders, strict=True)
+            ]
             session.begin(resolved, rows, progress)
             status, message = _ended(session, experiment, points)
             statistics = session.statistics(clock.perf_counter() - begin)
@@ -225,13 +231,15 @@ def _set_up(
 ) -> Session:
     """The buffers, plans and bound calls of a run; start values have no part in it."""
     coupling = experiment.chosen_coupling
+    exchange = isinstance(coupling, ModelExchange)
     ensemble = Ensemble(
         system,
         slaves,
         recorded,
         derivatives=coupling.needs_derivatives,
-        slopes=any(interval is not None for _, interval in kinds),
+        slopes=any(interval is not None for _, interval in kinds) and not exchange,
         events=coupling.lands_on_events,
+        exchange=exchange,
     )
     return Session(
         ensemble,
@@ -253,7 +261,10 @@ def _ended(
     with np.errstate(over="ignore", invalid="ignore"):
         try:
             state = session.initialise(slave_tolerance(experiment))
-            if points is not None:
+            if isinstance(state, Smooth):
+                assert tolerance is not None  # as require_abilities has seen
+                integrate(session, state, tolerance, step)
+            elif points is not None:
                 run_fixed(session, state, GivenPoints(points, experiment.start_time))
             elif tolerance is not None:
                 run_adaptive(session, state, tolerance, step)

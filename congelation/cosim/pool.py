@@ -26,7 +26,7 @@ class SlavePool:
     """
 
     def __init__(self) -> None:
-        self._idle: dict[tuple[str, str], list[Slave]] = defaultdict(list)
+        self._idle: dict[tuple[str, str, bool], list[Slave]] = defaultdict(list)
         self._sessions: deque[tuple[object, Session]] = deque(maxlen=KEPT_SESSIONS)
 
     def session(self, key: object, slaves: Sequence[Slave], make: Callable[[], Session]) -> Session:
@@ -48,8 +48,14 @@ class SlavePool:
         return session
 
     @contextmanager
-    def lend(self, members: Sequence[Member]) -> Iterator[list[Slave]]:
+    def lend(self, members: Sequence[Member], *, exchange: bool = False) -> Iterator[list[Slave]]:
         """One instance per member, fresh or reset, for the time of a run.
+
+        Parameters
+        ----------
+        members : sequence of Member
+        exchange : bool
+            Whether they are to be ones of model exchange, rather than of co-simulation.
 
         Raises
         ------
@@ -59,7 +65,7 @@ class SlavePool:
         lent: list[Slave] = []
         try:
             for member in members:
-                lent.append(self._take(member))
+                lent.append(self._take(member, exchange))
             yield lent
         finally:
             for slave in lent:
@@ -95,8 +101,8 @@ class SlavePool:
     ) -> None:
         self.close()
 
-    def _take(self, member: Member) -> Slave:
-        idle = self._idle[member.name, member.description.sha256]
+    def _take(self, member: Member, exchange: bool) -> Slave:
+        idle = self._idle[member.name, member.description.sha256, exchange]
         while idle:
             slave = idle.pop()
             try:
@@ -106,9 +112,9 @@ class SlavePool:
                 slave.close()
             else:
                 return slave
-        return Slave(member.name, member.description)
+        return Slave(member.name, member.description, exchange=exchange)
 
     def _put_back(self, slave: Slave) -> None:
         if slave.usable:
             slave.free_states()
-            self._idle[slave.name, slave.description.sha256].append(slave)
+            self._idle[slave.name, slave.description.sha256, slave.exchange].append(slave)

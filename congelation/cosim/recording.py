@@ -6,9 +6,11 @@ Rows        takes the communication points of a run and records rows: EveryStep,
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import takewhile
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +28,7 @@ __all__ = [
     "Output",
     "OutputGrid",
     "Rows",
+    "VisitedGrid",
 ]
 
 Floats = npt.NDArray[np.float64]
@@ -82,10 +85,11 @@ class Output:
         if self.interval is not None and self.every != 1:
             raise InvalidInput("every and interval: give one of the two")
 
-    def rows(self, columns: Columns, recorder: Recorder) -> Rows:
-        """What records these rows."""
+    def rows(self, columns: Columns, recorder: Recorder, *, visits: bool = False) -> Rows:
+        """What records these rows; `visits` where all values can be had at any time."""
         if self.interval is not None:
-            return OutputGrid(columns, recorder, self.interval)
+            kind = VisitedGrid if visits else OutputGrid
+            return kind(columns, recorder, self.interval)
         return EveryStep(columns, recorder, self.every)
 
 
@@ -197,9 +201,12 @@ class Rows(ABC):
     ----------
     columns : Columns
         What is recorded.
+    near : float
+        A communication point this near to a time at which a row is asked for is taken for it.
     """
 
     columns: Columns
+    near: float = math.inf
 
     @abstractmethod
     def start(self, time: float) -> None:
@@ -223,6 +230,15 @@ class Rows(ABC):
     @abstractmethod
     def after_jump(self, time: float) -> None:
         """The jump, with the values from the right."""
+
+    def due(self, until: float, most: int) -> list[float]:
+        """The next times before `until`, at most `most`, at which rows are asked for whatever the
+        communication points are."""
+        return []
+
+    def visit(self, time: float) -> None:
+        """A time between two communication points; all values are those there."""
+        return
 
     @abstractmethod
     def finish(self, time: float, *, completed: bool) -> None:
@@ -273,6 +289,58 @@ class EveryStep(Rows):
     def _record(self, time: float) -> None:
         self.left = self.every - 1
         self.columns.fill(self.recorder.row(time))
+
+
+class VisitedGrid(Rows):
+    """The points t_0 + k dt and the last one, each with the values that all FMUs have there.
+
+    Parameters
+    ----------
+    columns : Columns
+    recorder : Recorder
+    interval : float
+        dt in seconds.
+    """
+
+    def __init__(self, columns: Columns, recorder: Recorder, interval: float) -> None:
+        self.columns = columns
+        self._recorder = recorder
+        self._interval = interval
+        self.near = GRID_ROUNDING * interval
+        self._first = self._last = 0.0
+        self._count = 0
+
+    def due(self, until: float, most: int) -> list[float]:
+        end = until - self.near
+        places = (self._first + k * self._interval for k in range(self._count, self._count + most))
+        return list(takewhile(lambda place: place < end, places))
+
+    def start(self, time: float) -> None:
+        self._first, self._count = time, 0
+        self.visit(time)
+
+    def visit(self, time: float) -> None:
+        place = self._first + self._count * self._interval
+        if place <= time + self.near:
+            self._record(place)
+            self._count += 1
+
+    def point(self, time: float) -> None:
+        self.visit(time)
+
+    def before_jump(self, time: float) -> None:
+        """The row of a jump holds the values from the right."""
+
+    def after_jump(self, time: float) -> None:
+        self.visit(time)
+
+    def finish(self, time: float, *, completed: bool) -> None:
+        if time - self._last > self.near:
+            self._record(time)
+
+    def _record(self, time: float) -> None:
+        self._last = time
+        self.columns.fill(self._recorder.row(time))
 
 
 class OutputGrid(Rows):

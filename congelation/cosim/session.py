@@ -8,7 +8,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from congelation.cosim.compiled import CHUNK, CompiledHeld, CompiledPolynomials, Loop
+from congelation.cosim.compiled import (
+    CHUNK,
+    CompiledHeld,
+    CompiledIntegrator,
+    CompiledPolynomials,
+    Loop,
+)
 from congelation.cosim.coupling import Coupling, Stepper
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
@@ -76,6 +82,8 @@ class Session:
         There once `initialise` is done.
     compiled : object
         What makes the steps in C, or None; there once it was asked for, see `stepping`.
+    integrator : CompiledIntegrator
+        The same of `model_exchange`, see `integration`.
     steps, rejected, events, largest_error
         As in Statistics, `largest_error` for steps that are chosen by a tolerance.
     exchange : Exchange
@@ -91,6 +99,7 @@ class Session:
 
     stepper: Stepper[Any]
     compiled: CompiledHeld | CompiledPolynomials | None
+    integrator: CompiledIntegrator
     rows: tuple[Rows, ...]
 
     def __init__(
@@ -207,9 +216,7 @@ class Session:
             Of the coupling, after the jump.
         """
         ensemble = self.ensemble
-        ensemble.check(before)
-        for rows in self.rows:
-            rows.before_jump(before)
+        self.leave(before)
         ensemble.C[0] = ensemble.Y[ensemble.source]
         ensemble.C[1:] = 0.0
         for write in ensemble.write:
@@ -219,12 +226,22 @@ class Session:
         ensemble.calls += sum(ensemble.write_calls) + len(ensemble.slaves)
         self.exchange.run(after)
         state = self.stepper.start(after, state)
-        self.events += 1
-        ensemble.check(after)
-        for rows in self.rows:
-            rows.after_jump(after)
-        self._count(after)
+        self.arrive(after)
         return state
+
+    def leave(self, time: float) -> None:
+        """Check and record what was read before a jump."""
+        self.ensemble.check(time)
+        for rows in self.rows:
+            rows.before_jump(time)
+
+    def arrive(self, time: float) -> None:
+        """Check and record what was read after a jump."""
+        self.events += 1
+        self.ensemble.check(time)
+        for rows in self.rows:
+            rows.after_jump(time)
+        self._count(time)
 
     def record(self, time: float) -> None:
         """Check and record what was read at a communication point."""
@@ -263,8 +280,8 @@ class Session:
             duration = f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.3g} min"
             NOTICE.line = (
                 f"at t = {self._time:.6g} of {self.stop:.6g} s the steps are {length:.2g} s long: "
-                f"the rest takes {left:.1g} steps and about {duration}; a larger tolerance makes "
-                "them longer, max_steps or --timeout ends the run"
+                f"if they stay so, the rest takes {left:.1g} steps and about {duration}; a larger "
+                "tolerance makes them longer, max_steps or --timeout ends the run"
             )
             self._next_look = math.inf
 

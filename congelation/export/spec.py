@@ -127,9 +127,12 @@ class Spec:
         Of the file, without its suffix.
     title : str
         Of the system, for people.
-    form, structure
-        What the models are derived from; see `congelation.export.forms`.
-    plant, controller : FmuSpec
+    form : str
+        The class of systems, such as ``strict-feedback``.
+    structure : mapping
+        What the models are derived from: the keys of ``[structure]``.
+    plant : FmuSpec
+    controller : FmuSpec
 
     Examples
     --------

@@ -21,7 +21,7 @@ from congelation.errors import InvalidInput, nearest
 from congelation.fmi.archive import DAMAGED, check_archive, require_no_other_kind
 from congelation.fmi.units import BASE, Unit, unit_named
 
-__all__ = ["ANNOTATION", "Description", "Variable", "describe"]
+__all__ = ["ANNOTATION", "Description", "Equations", "Variable", "describe"]
 
 
 ANNOTATION = "congelation"
@@ -72,6 +72,24 @@ class Variable:
 
 
 @dataclass(frozen=True)
+class Equations:
+    """What an FMU offers as model exchange: its differential equations.
+
+    Parameters
+    ----------
+    states, indicators : int
+        How many continuous states and event indicators there are.
+    completes : bool
+        Whether fmi2CompletedIntegratorStep is to be called.
+    """
+
+    model_identifier: str
+    states: int
+    indicators: int
+    completes: bool
+
+
+@dataclass(frozen=True)
 class Description:
     """The part of a model description that a co-simulation master needs.
 
@@ -92,6 +110,8 @@ class Description:
         Inputs that the FMU says are meant to be left alone, by an annotation of this project.
     proposed_step : float or None
         Communication step that the FMU proposes (DefaultExperiment), in seconds.
+    equations : Equations or None
+        None where the FMU offers no model exchange.
     """
 
     path: Path
@@ -108,6 +128,7 @@ class Description:
     units: Mapping[str, Unit] = field(default_factory=dict)
     open_inputs: frozenset[str] = frozenset()
     proposed_step: float | None = None
+    equations: Equations | None = None
 
     def unit(self, name: str) -> Unit | None:
         """The unit of a name, as the FMU defines it, else as is usual; None for no name."""
@@ -202,6 +223,20 @@ def _read(path: Path) -> Description:
         units=MappingProxyType(_units(model)),
         open_inputs=_open_inputs(root),
         proposed_step=_proposed_step(model),
+        equations=_equations(model),
+    )
+
+
+def _equations(model: fmpy.model_description.ModelDescription) -> Equations | None:
+    exchange = model.modelExchange
+    # Its name becomes part of a path.
+    if exchange is None or {*str(exchange.modelIdentifier)} & {"/", "\\", "\0"}:
+        return None
+    return Equations(
+        model_identifier=exchange.modelIdentifier,
+        states=len(model.derivatives),
+        indicators=int(model.numberOfEventIndicators or 0),
+        completes=not exchange.completedIntegratorStepNotNeeded,
     )
 
 
@@ -224,18 +259,34 @@ def _units(model: fmpy.model_description.ModelDescription) -> dict[str, Unit]:
             continue
         exponents = tuple(int(getattr(base, symbol) or 0) for symbol in BASE)
         factor, offset = float(base.factor), float(base.offset)
+        if not _converts(factor, offset):  # no definition: what has this unit cannot be compared
+            found[unit.name] = Unit(unit.name)
+            continue
         found[unit.name] = Unit(unit.name, exponents, factor, offset)
         for shown in unit.displayUnits:
+            if not _converts(float(shown.factor), float(shown.offset)):
+                continue
             scale = factor / float(shown.factor)
             shift = offset - scale * float(shown.offset)
             found.setdefault(shown.name, Unit(shown.name, exponents, scale, shift))
     return found
 
 
+def _converts(factor: float, offset: float) -> bool:
+    """Whether values can be converted both ways."""
+    return factor != 0.0 and math.isfinite(factor) and math.isfinite(offset)
+
+
 def _open_inputs(root: etree._Element) -> frozenset[str]:
     """The names in ``VendorAnnotations/Tool[@name='congelation']/OpenInputs/Input``."""
     found = root.findall(f"VendorAnnotations/Tool[@name='{ANNOTATION}']/OpenInputs/Input")
     return frozenset(element.get("name", "") for element in found)
+
+
+def _nominal(stated: str | None) -> float:
+    """The size that errors of a variable are measured by: 1 where what is stated is none."""
+    size = abs(float(stated or 1.0))
+    return size if math.isfinite(size) and size > 0.0 else 1.0
 
 
 def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
@@ -246,7 +297,7 @@ def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
         causality=variable.causality,
         variability=variable.variability,
         initial=variable.initial,
-        nominal=abs(float(variable.nominal or 1.0)) or 1.0,
+        nominal=_nominal(variable.nominal),
         unit=variable.unit or (getattr(variable.declaredType, "unit", None) or ""),
         relative=bool(
             getattr(variable.declaredType, "relativeQuantity", False)

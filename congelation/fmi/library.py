@@ -13,7 +13,7 @@ from pathlib import Path
 from weakref import WeakValueDictionary
 
 import fmpy
-from fmpy.fmi2 import FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
+from fmpy.fmi2 import FMU2Model, FMU2Slave, fmi2CallbackFunctions, fmi2CallbackLoggerTYPE
 from fmpy.fmi2 import fmi2CallbackAllocateMemoryTYPE as AllocateMemory
 from fmpy.fmi2 import fmi2CallbackFreeMemoryTYPE as FreeMemory
 from fmpy.logging import addLoggerProxy
@@ -131,7 +131,9 @@ def unpack(description: Description) -> Path:
     return _FOLDERS[description.sha256]
 
 
-def load(description: Description, name: str, log: Log) -> FMU2Slave:
+def load(
+    description: Description, name: str, log: Log, *, exchange: bool = False
+) -> FMU2Slave | FMU2Model:
     """Instantiate an FMU.
 
     The shared library stays loaded until the process ends, and is unloaded just before: left to
@@ -145,10 +147,12 @@ def load(description: Description, name: str, log: Log) -> FMU2Slave:
         Instance name.
     log : Log
         Takes the instance's messages.
+    exchange : bool
+        For model exchange, rather than co-simulation.
 
     Returns
     -------
-    FMU2Slave
+    FMU2Slave or FMU2Model
         Its `component` is None where the FMU refused.
 
     Raises
@@ -158,11 +162,16 @@ def load(description: Description, name: str, log: Log) -> FMU2Slave:
     """
     folder = unpack(description)
     is_python = _claim_module(folder, description)
+    kind, identifier = FMU2Slave, description.model_identifier
+    if exchange:
+        if description.equations is None:
+            raise InvalidInput(f"{description.path}: it offers no model exchange")
+        kind, identifier = FMU2Model, description.equations.model_identifier
     try:
-        slave = FMU2Slave(
+        slave = kind(
             guid=description.guid,
             unzipDirectory=str(folder),
-            modelIdentifier=description.model_identifier,
+            modelIdentifier=identifier,
             instanceName=name,
         )
     except Exception as error:  # fmpy raises bare Exception
@@ -173,7 +182,7 @@ def load(description: Description, name: str, log: Log) -> FMU2Slave:
     slave.callbacks = _callbacks(log, formatted=is_python)
     slave.component = slave.fmi2Instantiate(
         name.encode(),
-        1,  # fmi2CoSimulation
+        0 if exchange else 1,  # fmi2ModelExchange, fmi2CoSimulation
         description.guid.encode(),
         (folder / "resources").as_uri().encode(),
         ctypes.byref(slave.callbacks),

@@ -1,4 +1,4 @@
-"""One FMU instance: the calls of FMI 2.0 co-simulation, each with its status checked.
+"""One FMU instance: the calls of FMI 2.0, each with its status checked.
 
 The calls of the stepping loop go to the C functions directly, with arrays made once: per call,
 fmpy's convenience methods cost several times what the FMU itself needs.
@@ -9,10 +9,11 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
-from typing import Any, NoReturn
+from typing import Any, NamedTuple, NoReturn
 
 import numpy as np
 import numpy.typing as npt
+from fmpy.fmi2 import fmi2EventInfo
 
 from congelation.errors import SlaveError
 from congelation.fmi.calls import CALLS
@@ -20,7 +21,7 @@ from congelation.fmi.description import Description, Variable
 from congelation.fmi.library import DISCARD, FATAL, STATUS_NAMES, WARNING, Log, load
 from congelation.fmi.start import StartValue
 
-__all__ = ["TERMINATE", "Slave", "SlaveTerminated", "State", "StepDiscarded"]
+__all__ = ["TERMINATE", "DiscreteStates", "Slave", "SlaveTerminated", "State", "StepDiscarded"]
 
 TERMINATED_KIND = 3
 """fmi2Terminated, of fmi2StatusKind."""
@@ -40,6 +41,24 @@ class SlaveTerminated(Exception):
     """The FMU ended the simulation run of its own accord: fmi2Discard with fmi2Terminated."""
 
 
+class DiscreteStates(NamedTuple):
+    """What fmi2NewDiscreteStates said.
+
+    Parameters
+    ----------
+    again : bool
+        Whether it has to be called once more.
+    ends : bool
+        Whether the FMU wants no further step.
+    event : float
+        Time of its next event in seconds; infinite where there is none.
+    """
+
+    again: bool
+    ends: bool
+    event: float
+
+
 class Slave:
     """One loaded FMU instance.
 
@@ -49,6 +68,8 @@ class Slave:
         Of the component; messages carry it.
     description : Description
         The FMU.
+    exchange : bool
+        Whether it is one of model exchange, rather than of co-simulation.
 
     Raises
     ------
@@ -58,8 +79,9 @@ class Slave:
         The FMU refused to be instantiated.
     """
 
-    def __init__(self, name: str, description: Description) -> None:
+    def __init__(self, name: str, description: Description, *, exchange: bool = False) -> None:
         self.name = name
+        self.exchange = exchange
         self.description = description
         self.log = Log(name)
         self._states: list[State] = []
@@ -70,13 +92,14 @@ class Slave:
         self._functions: dict[str, Any] = {}
         self._codes: dict[str, int] = {}
         self._note[0] = self._code("fmi2Instantiate")
-        self._fmu = load(description, name, self.log)
+        self._fmu = load(description, name, self.log, exchange=exchange)
         self._component = ctypes.c_void_p(self._fmu.component)
         if not self._component:
             raise SlaveError(name, 0.0, self._reason("fmi2Instantiate returned NULL"))
-        self._do_step = self._function(
-            "fmi2DoStep", ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int
-        )
+        if not exchange:
+            self._do_step = self._function(
+                "fmi2DoStep", ctypes.c_void_p, ctypes.c_double, ctypes.c_double, ctypes.c_int
+            )
         self._get_state = self._function("fmi2GetFMUstate")
         self._set_state = self._function("fmi2SetFMUstate")
         self._free_state = self._function("fmi2FreeFMUstate")
@@ -275,6 +298,77 @@ class Slave:
             reason = self._reason("it gave no reason")
             raise SlaveTerminated(f"{self.name} at t = {self.time:.9g} ended the run: {reason}")
 
+    # -- model exchange -----------------------------------------------------------------------
+
+    def enter_event_mode(self) -> None:
+        """fmi2EnterEventMode."""
+        self._call("fmi2EnterEventMode")
+
+    def new_discrete_states(self) -> DiscreteStates:
+        """fmi2NewDiscreteStates."""
+        info = fmi2EventInfo()
+        self._call("fmi2NewDiscreteStates", ctypes.byref(info))
+        event = info.nextEventTime if info.nextEventTimeDefined else float("inf")
+        return DiscreteStates(
+            bool(info.newDiscreteStatesNeeded), bool(info.terminateSimulation), event
+        )
+
+    def enter_continuous_time_mode(self) -> None:
+        """fmi2EnterContinuousTimeMode."""
+        self._call("fmi2EnterContinuousTimeMode")
+
+    def set_time(self, time: float) -> None:
+        """fmi2SetTime."""
+        self.log.time = time
+        self._call("fmi2SetTime", ctypes.c_double(time))
+
+    def set_states(self, x: Floats) -> None:
+        """fmi2SetContinuousStates, from a contiguous array.
+
+        Raises
+        ------
+        StepDiscarded, SlaveError
+        """
+        self._vector("fmi2SetContinuousStates", x)
+
+    def get_states(self, x: Floats) -> None:
+        """fmi2GetContinuousStates, into a contiguous array."""
+        self._vector("fmi2GetContinuousStates", x)
+
+    def get_rates(self, f: Floats) -> None:
+        """fmi2GetDerivatives, into a contiguous array.
+
+        Raises
+        ------
+        StepDiscarded, SlaveError
+        """
+        self._vector("fmi2GetDerivatives", f)
+
+    def get_nominals(self, nominals: Floats) -> None:
+        """fmi2GetNominalsOfContinuousStates, into a contiguous array."""
+        self._vector("fmi2GetNominalsOfContinuousStates", nominals)
+
+    def get_indicators(self, z: Floats) -> None:
+        """fmi2GetEventIndicators, into a contiguous array."""
+        self._vector("fmi2GetEventIndicators", z)
+
+    def completed_step(self) -> tuple[bool, bool]:
+        """fmi2CompletedIntegratorStep: whether the FMU asks for event mode, and for the end."""
+        enter, terminate = ctypes.c_int(0), ctypes.c_int(0)
+        self._call(
+            "fmi2CompletedIntegratorStep",
+            ctypes.c_int(1),
+            ctypes.byref(enter),
+            ctypes.byref(terminate),
+        )
+        return bool(enter.value), bool(terminate.value)
+
+    def _vector(self, function: str, values: Floats) -> None:
+        pointer = values.ctypes.data_as(ctypes.c_void_p)
+        self._call(function, pointer, ctypes.c_size_t(len(values)))
+
+    # -- states saved and restored ------------------------------------------------------------
+
     def state_handle(self) -> State:
         """A handle that no state has been saved to; it is freed with the others."""
         state = State()
@@ -355,7 +449,7 @@ class Slave:
         if "KeyboardInterrupt" in reason:
             # Ctrl-C reached Python code inside the FMU, and comes back as its last message.
             raise KeyboardInterrupt
-        discarded = status == DISCARD and function == "fmi2DoStep"
+        discarded = status == DISCARD and function in _DISCARDING
         raise (StepDiscarded if discarded else SlaveError)(self.name, self.time, reason, function)
 
     # -- C ------------------------------------------------------------------------------------
@@ -419,6 +513,9 @@ class Slave:
         call.__doc__ = f"{name} of {len(references)} values of {self.name}, shape {values.shape}"
         return call
 
+
+_DISCARDING = ("fmi2DoStep", "fmi2SetContinuousStates", "fmi2GetDerivatives")
+"""Functions whose fmi2Discard asks for a shorter step."""
 
 _C_TYPES: dict[str, Any] = {
     "Real": ctypes.c_double,

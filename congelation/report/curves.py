@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.report.page import Drawn, swatch
+from congelation.report.summary import short
 from congelation.results.figures import first_scale
 from congelation.results.labels import plain_unit
 from congelation.results.record import STRETCHES, Trajectory, thin
@@ -375,4 +376,4 @@ def _numbers(panel: Panel, variants: Sequence[str]) -> Iterator[str]:
 
 def _short(value: float) -> str:
     """Three digits, so that five numbers stand beside each other on a phone."""
-    return "–" if math.isnan(value) else f"{value:.3g}"
+    return "–" if math.isnan(value) else short(value, 3)

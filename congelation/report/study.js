@@ -1,7 +1,7 @@
 // The page of a study: plots of metrics against settings, a table of all runs, trajectories.
 "use strict";
 congelation.study = (() => {
-  const {state, scales, model, colour, each, number, place, shown} = congelation;
+  const {state, scales, model, css, each, number, place, shown} = congelation;
   const study = state.study;
   const value = (v) => (v === "inf" ? Infinity : v === "-inf" ? -Infinity : v);
   const columns = Object.fromEntries(
@@ -15,6 +15,7 @@ congelation.study = (() => {
   let order = null;   // {column, down}
   let first = 0;      // the first row shown
   const ROWS = 25;
+  const DIGITS = 8;   // of an id, as many as `congelation show` needs; the rows' titles have all
 
   const isNumber = (v) => typeof v === "number" && !Number.isNaN(v);
   function scaleOf(values, wish = "auto") {
@@ -137,13 +138,14 @@ congelation.study = (() => {
     const low = Math.min(...drawn), high = Math.max(...drawn);
     const shade = (m) => (Number.isFinite(m)
       ? study.palette[Math.round(255 * (high > low ? (place(scale, m) - low) / (high - low) : 0.5))]
-      : "#888888");
-    const data = {x: [], y: [], fill: [], ink: [], label: [], a: [], b: []};
+      : css("--ground"));
+    const data = {x: [], y: [], fill: [], hatch: [], ink: [], label: [], a: [], b: []};
     for (const [key, m] of medians) {
       const [i, j] = key.split(" ").map(Number);
       data.x.push(i); data.y.push(j); data.fill.push(shade(m));
+      data.hatch.push(Number.isFinite(m) ? " " : "/");
       const part = (place(scale, m) - low) / (high - low);
-      data.ink.push(!Number.isFinite(m) || part < 0.55 ? "#ffffff" : "#000000");
+      data.ink.push(!Number.isFinite(m) ? css("--text") : part < 0.55 ? "#ffffff" : "#000000");
       data.label.push(medians.size <= 100 ? text(metric, m) : "");
       data.a.push(`${name(a)} = ${x.names[i]}, ${name(b)} = ${y.names[j]}`);
       data.b.push(`${name(metric)} = ${text(metric, m)}`);
@@ -181,7 +183,7 @@ congelation.study = (() => {
       model(`pareto.points.${v}`).data = points(runs, a, b, x, y);
       model(`pareto.line.${v}`).data = points(front, a, b, x, y);
       for (const k of front)
-        lines.push([variant, study.run_id[k], text(a, columns[a][k]), text(b, columns[b][k])]);
+        lines.push([variant, cells.run(k), text(a, columns[a][k]), text(b, columns[b][k])]);
     });
     frame("pareto", usable.map((k) => put(x, columns[a][k])), usable.map((k) => put(y, columns[b][k])));
     axes("pareto", a, b);
@@ -207,7 +209,7 @@ congelation.study = (() => {
     }));
   }
   const cells = {
-    run: (k) => study.run_id[k], variant: (k) => state.variants[study.variant[k]],
+    run: (k) => study.run_id[k].slice(0, DIGITS), variant: (k) => state.variants[study.variant[k]],
     status: (k) => study.status[k],
   };
   const cell = (column, k) => (cells[column] ? cells[column](k) : columns[column][k]);
@@ -250,7 +252,8 @@ congelation.study = (() => {
     const listed = kept.filter((k) => shown.has(study.variant[k]));
     first = Math.max(0, Math.min(first, listed.length - 1));
     table.tBodies[0].replaceChildren(...listed.slice(first, first + ROWS).map((k) => {
-      const row = element("tr", "", {tabindex: "0", class: "open", "data-run": study.run_id[k]});
+      const row = element("tr", "", {tabindex: "0", class: "open", "data-run": study.run_id[k],
+        title: `run ${study.run_id[k]}`});
       for (const column of study.table)
         row.append(element("td", text(column, cell(column, k)),
           cells[column] ? {class: "text"} : {}));

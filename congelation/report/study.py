@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import base64
 import math
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from html import escape
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ import numpy.typing as npt
 from congelation.report.curves import PICKED, Curve, Panel, curve_panels, draw_panels
 from congelation.report.page import Drawn, swatch, table
 from congelation.report.summary import label_of, number, summarise
-from congelation.report.verdict import FEW, axes_of, settled
+from congelation.report.verdict import FEW, axes_of, settled, short_names, unit_of
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 
@@ -168,7 +167,7 @@ def _data(
             **{name: [run.settings.get(name) for run in runs] for name in axes},
             **{name: [_digits(run.metrics.get(name)) for run in runs] for name in about},
         },
-        "labels": {**_labels(study), **_short_names(axes)},
+        "labels": {**_labels(study), **_axis_labels(study, axes)},
         "never": [name for name, of in about.items() if of["metric"] == "settling_time"],
         "axes": list(axes),
         "metrics": list(about),
@@ -182,10 +181,10 @@ def _digits(value: float | None) -> float | None:
     return float(f"{value:.6g}") if value is not None and math.isfinite(value) else value
 
 
-def _short_names(axes: Mapping[str, Any]) -> dict[str, str]:
-    """``plant.profile[1].sine[1].omega`` as omega, if no other axis is called so."""
-    ends = Counter(name.rpartition(".")[2] for name in axes)
-    return {n: e if ends[e := n.rpartition(".")[2]] == 1 else n for n in axes}
+def _axis_labels(study: Study, axes: Iterable[str]) -> dict[str, str]:
+    """Settings by their short names, with units."""
+    units = {name: unit_of(study, name).strip() for name in axes}
+    return {n: f"{s} [{units[n]}]" if units[n] else s for n, s in short_names(axes).items()}
 
 
 def _labels(study: Study) -> dict[str, str]:
@@ -205,7 +204,10 @@ def _counts(
     """A table for each axis with few values: how many runs settle at each of them, by variant."""
     timed = any(m["metric"] == "settling_time" for m in study.about["metrics"].values())
     done = "settle" if timed else "reach their stop time"
-    names = _short_names(axes)
+    if all(settled(study, run) for run in study.records):
+        return  # the verdict says so
+    names = _axis_labels(study, axes)
+    yield '<div class="counts">'
     for name, values in axes.items():
         if not 1 < len(values) <= FEW:
             continue
@@ -221,7 +223,8 @@ def _counts(
                 cells.append(f"{sum(there)} of {len(there)}" if there else "–")
             lines.append((variant, cells))
         heads = [number(value) for value in values]
-        yield from table(heads, lines, f"How many runs {done}, by {names[name]} ({name})")
+        yield from table(heads, lines, f"How many runs {done}, by {names[name]}")
+    yield "</div>"
 
 
 def _variant_controls(variants: Sequence[str]) -> Iterator[str]:
@@ -271,7 +274,7 @@ def _metric_section(
     timed = (n for n in metrics if study.about["metrics"][n]["metric"] == "settling_time")
     selects = [
         _select("metric-metric", "Metric", named, next(timed, metrics[0])),
-        _select("metric-axis", "against", _short_names(axes)),
+        _select("metric-axis", "against", _axis_labels(study, axes)),
         _select("metric-band", "Band", {"0.9": "5 % to 95 %", "0.5": "25 % to 75 %", "1": "all"}),
         _select(
             "metric-scale",
@@ -295,9 +298,14 @@ def _map_section(
     from bokeh.models import ColumnDataSource, HoverTool
 
     plot = _plot("map")
-    empty: dict[str, list[Any]] = {n: [] for n in ("x", "y", "fill", "ink", "label", "a", "b")}
+    empty: dict[str, list[Any]] = {
+        n: [] for n in ("x", "y", "fill", "hatch", "ink", "label", "a", "b")
+    }
     source = ColumnDataSource(empty, name="map.cells")
-    plot.rect("x", "y", 1, 1, source=source, fill_color="fill", line_color=None)
+    plot.rect(
+        "x", "y", 1, 1, source=source, fill_color="fill", line_color=None,
+        hatch_pattern="hatch", hatch_color="#888888", hatch_alpha=0.6, hatch_weight=1,
+    )  # fmt: skip
     plot.text(
         "x", "y", "label", source=source, text_color="ink", text_align="center",
         text_baseline="middle", text_font_size="12px",
@@ -311,14 +319,14 @@ def _map_section(
     selects = [
         _select("map-metric", "Metric", named, next(timed, metrics[0])),
         _select("map-variant", "of", {str(k): v for k, v in enumerate(variants)}, last),
-        _select("map-x", "across", _short_names(axes), first),
-        _select("map-y", "up", _short_names(axes), second),
+        _select("map-x", "across", _axis_labels(study, axes), first),
+        _select("map-y", "up", _axis_labels(study, axes), second),
     ]
     yield from _section(
         "Heat map of two settings",
         Drawn(plot, "A metric over two settings; the table beside it has its numbers"),
         selects,
-        "Medians over all other settings, of one variant; bright is large, grey is never.",
+        "Medians over all other settings, of one variant; bright is large, hatched is never.",
     )
 
 
@@ -408,17 +416,18 @@ def _table_section(
     yield '<h2>Runs</h2><div class="controls">'
     yield '<label>Filter <input id="filter-text" type="search" placeholder="omega &gt; 10"></label>'
     yield _select("filter-status", "Status", statuses)
-    yield '<button id="runs-back" type="button">Back</button>'
-    yield '<button id="runs-on" type="button">On</button>'
+    yield '<button id="runs-back" type="button">Previous</button>'
+    yield '<button id="runs-on" type="button">Next</button>'
     yield '<output id="runs-shown" aria-live="polite"></output></div>'
     yield '<p class="note">The filter holds for the plots, too. A heading sorts, Enter opens.</p>'
     yield '<div class="scroll" tabindex="0" role="region" aria-label="Runs"><table id="runs">'
     yield "<thead><tr>"
     names = _labels(study)
-    names |= _short_names({n: 0 for n in columns if n not in names})
+    names |= _axis_labels(study, [n for n in columns if n not in names])
     for column in columns:
+        kind = ' class="text"' if column in ("run", "variant", "status") else ""
         yield (
-            f'<th scope="col" data-column="{escape(column)}" title="{escape(column)}">'
+            f'<th scope="col"{kind} data-column="{escape(column)}" title="{escape(column)}">'
             f'<button type="button">{escape(names[column])}<span></span></button></th>'
         )
     yield "</tr></thead><tbody></tbody></table></div>"

@@ -19,6 +19,7 @@ __all__ = [
     "label_of",
     "metric_definitions",
     "number",
+    "short",
     "summarise",
     "summarise_groups",
 ]
@@ -163,11 +164,17 @@ def number(value: object) -> str:
         return "true" if value else "false"
     if isinstance(value, int | str):
         return str(value)
-    if isinstance(value, float) and math.isnan(value):
+    if not isinstance(value, float):  # a list of numbers
+        return str(value)
+    if math.isnan(value):
         return "–"
-    if value == math.inf:
-        return "never"
-    return f"{value:.4g}"
+    return "never" if value == math.inf else short(value, 4)
+
+
+def short(value: float, digits: int) -> str:
+    """A number with so many digits; without an exponent up to 100,000."""
+    rounded = float(f"{value:.{digits}g}")
+    return f"{rounded:.0f}" if 10.0 ** (digits - 1) <= abs(rounded) < 1e5 else f"{value:.{digits}g}"
 
 
 def _lines(study: Study) -> Iterator[tuple[str, list[str]]]:

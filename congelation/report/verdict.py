@@ -3,18 +3,37 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from statistics import median
 from typing import Any
 
 from congelation.report.summary import number
+from congelation.results.labels import plain_unit
 from congelation.results.record import RunRecord, Study
 
-__all__ = ["FEW", "axes_of", "listed", "prices", "run_verdict", "settled", "study_verdict", "tiles"]
-
+__all__ = [
+    "FEW",
+    "axes_of",
+    "listed",
+    "prices",
+    "run_verdict",
+    "settled",
+    "settling_rule",
+    "short_names",
+    "study_verdict",
+    "tiles",
+    "unit_of",
+]
 
 FEW = 12
 """Values of an axis up to which runs are counted at each of them; a random axis has more."""
+
+LISTED = 4
+"""Variants up to which a sentence on a run names each of them; their tiles have the numbers."""
+
+_DEAR = 1.05
+"""A peak of |u| that is larger than the least by less than 5 % is no price."""
 
 
 def settled(study: Study, run: RunRecord) -> bool:
@@ -29,28 +48,62 @@ def settled(study: Study, run: RunRecord) -> bool:
 def run_verdict(study: Study, peaks: Mapping[str, float]) -> Iterator[str]:
     """Sentences on the variants of a scenario, the first on whether they settle."""
     name = _named(study, "settling_time")
-    said = []
+    settling: list[tuple[float, str]] = []
+    ended: dict[str, list[str]] = {}  # variants by how their runs ended otherwise
     for run in study.records:
         if run.failed:
-            said.append(f"{run.variant} failed ({run.status})")
+            end = f"failed ({run.status})"
         elif run.status != "COMPLETED":
-            said.append(f"{run.variant} was ended by an FMU before its stop time")
+            end = "ended by an FMU before the stop time"
         elif not name:
-            said.append(f"{run.variant} reached its stop time")
+            end = "reached the stop time"
         elif settled(study, run):
-            said.append(f"{run.variant} settles after {number(run.metrics[name])} s")
+            settling.append((run.metrics[name] or 0.0, run.variant))
+            continue
         else:
-            said.append(f"{run.variant} does not settle")
-    yield f"{listed(said)}." if said else "No run has finished yet."
-    priced = prices(study, study.records, peaks)
-    dear = {v: p for v, p in priced.items() if p > 1.0}
-    if dear:
-        cheapest = min(priced, key=lambda v: priced[v])
-        costs = [f"{variant} pays {number(_round(ratio))} times" for variant, ratio in dear.items()]
-        yield f"{listed(costs)} the peak of |u| of {cheapest}."
+            end = "not settled"
+        ended.setdefault(end, []).append(run.variant)
+    said = []
+    if len(settling) > LISTED:
+        (early, first), (late, last) = min(settling), max(settling)
+        said.append(
+            f"{len(settling)} variants settle, from {first} after {number(early)} s to {last} "
+            f"after {number(late)} s"
+        )
+    elif settling:
+        (time, first), *rest = settling
+        others = [f"{variant} after {number(late)} s" for late, variant in rest]
+        said.append(listed([f"{first} settles after {number(time)} s", *others]))
+    for end, variants in ended.items():
+        one, several = {
+            "not settled": ("does not settle", "do not settle"),
+            "ended by an FMU before the stop time": (f"was {end}", f"were {end}"),
+        }.get(end, (end, end))
+        said.append(f"{listed(variants)} {one if len(variants) == 1 else several}")
+    yield f"{'; '.join(said)}." if said else "No run has finished yet."
+    yield from _price(prices(study, study.records, peaks))
     margins = [run for run in study.records if (_margin(study, run) or -1.0) > 0.0]
     if margins:
         yield f"The Lyapunov certificate is violated for {listed([r.variant for r in margins])}."
+
+
+def _price(priced: Mapping[str, float]) -> Iterator[str]:
+    """What the variants pay whose peak of |u| is clearly above the least."""
+    dear = sorted(((p, v) for v, p in priced.items() if p >= _DEAR), reverse=True)
+    if not dear:
+        return
+    cheapest = min(priced, key=lambda v: priced[v])
+    if len(dear) > LISTED:
+        (most, first), (least, last) = dear[0], dear[-1]
+        yield (
+            f"{len(dear)} variants pay, from {last} {number(_round(least))} times to {first} "
+            f"{number(_round(most))} times the peak of |u| of {cheapest}."
+        )
+        return
+    (most, first), *rest = dear
+    others = [f"{variant} {number(_round(ratio))} times" for ratio, variant in rest]
+    costs = listed([f"{first} pays {number(_round(most))} times", *others])
+    yield f"{costs} the peak of |u| of {cheapest}."
 
 
 def tiles(study: Study, peaks: Mapping[str, float]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
@@ -102,23 +155,54 @@ def prices(
 def axes_of(study: Study) -> dict[str, list[Any]]:
     """The settings that vary within a variant, with their values in order.
 
-    Settings that always change together, as those of one axis of a sweep do, count once.
+    Of the settings that an axis of a sweep changes together, one that follows from another is
+    left out.
     """
-    kinds: dict[tuple[int, ...], str] = {}
-    axes: dict[str, list[Any]] = {}
     variants: dict[str, list[RunRecord]] = {}
     for run in study.records:
         variants.setdefault(run.variant, []).append(run)
-    for name in study.about["varied"]:
-        column = [run.settings.get(name) for run in study.records]
-        if all(len({repr(r.settings.get(name)) for r in runs}) < 2 for runs in variants.values()):
-            continue
-        seen: dict[Any, int] = {}
-        kind = tuple(seen.setdefault(repr(value), len(seen)) for value in column)
-        if kinds.setdefault(kind, name) == name:
-            values = {repr(value): value for value in column if value is not None}.values()
-            axes[name] = sorted(values, key=lambda v: (isinstance(v, str), v))
+    columns = {
+        name: [repr(run.settings.get(name)) for run in study.records]
+        for name in study.about["varied"]
+        if any(len({repr(r.settings.get(name)) for r in runs}) > 1 for runs in variants.values())
+    }
+    # A directory of an earlier version does not say which settings make an axis.
+    groups = study.about.get("axes") or [list(columns)]
+    axes: dict[str, list[Any]] = {}
+    for group in groups:
+        kept: list[str] = []
+        for name in group:
+            if name in columns and name not in axes:
+                own = columns[name]
+                known = (columns[other] for other in kept)
+                if not any(len({*zip(c, own, strict=True)}) == len({*c}) for c in known):
+                    kept.append(name)
+        for name in kept:
+            found = {
+                repr(v): v for run in study.records if (v := run.settings.get(name)) is not None
+            }
+            axes[name] = sorted(found.values(), key=lambda v: (isinstance(v, str), v))
     return axes
+
+
+def short_names(names: Iterable[str]) -> dict[str, str]:
+    """Settings by the shortest end that tells them apart.
+
+    ``plant.profile[1].sine[1].omega`` is omega; beside ``..square[1].omega`` it is sine[1].omega.
+    """
+
+    def ends(name: str) -> list[str]:
+        parts = name.split(".")
+        return [".".join(parts[k:]) for k in range(len(parts) - 1, -1, -1)]
+
+    counts = Counter(end for name in {*names} for end in ends(name))
+    return {name: next((e for e in ends(name) if counts[e] == 1), name) for name in names}
+
+
+def unit_of(study: Study, setting: str) -> str:
+    """The unit of a setting, with a space before it; empty where there is none."""
+    unit = plain_unit(study.about.get("units", {}).get(setting, ""))
+    return f" {unit}" if unit else ""
 
 
 def study_verdict(study: Study) -> Iterator[str]:
@@ -126,46 +210,87 @@ def study_verdict(study: Study) -> Iterator[str]:
     variants: dict[str, list[RunRecord]] = {}
     for run in study.records:
         variants.setdefault(run.variant, []).append(run)
-    done = "settles" if _named(study, "settling_time") else "reaches its stop time"
+    timed = bool(_named(study, "settling_time"))
+    one, several = ("settles", "settle") if timed else ("reaches its", "reach their")
+    end = "" if timed else " stop time"
     axes = {
         name: values
         for name, values in axes_of(study).items()
         if 1 < len(values) <= FEW and all(isinstance(v, int | float) for v in values)
     }
+    short = short_names(axes_of(study))
+    # Variants of which the same is to be said stand in one sentence.
+    same: dict[str, list[str]] = {}
     for variant, runs in variants.items():
         good = [run for run in runs if settled(study, run)]
-        if len(good) == len(runs):
-            yield f"{variant} {done} in all {len(runs)} runs."
-            continue
-        if not good:
-            yield f"{variant} {done} in none of {len(runs)} runs."
-            continue
-        limits = []
-        for name, values in axes.items():
-            own = {run.settings.get(name) for run in runs}  # an axis may be of other variants
-            met = [value for value in values if value in own]
-            if len(met) > 1 and (limit := _limit(study, runs, name, met)):
-                limits.append(limit)
-        said = f": {listed(limits)}" if limits else ""
-        yield f"{variant} {done} in {len(good)} of {len(runs)} runs{said}."
+        if len(good) in (0, len(runs)):
+            count = f"all {len(runs)} runs" if len(runs) > 1 else "its only run"
+            said = count if good else f"none of {len(runs)} runs"
+            if good and len(variants) <= LISTED:
+                said += _times(study, runs)
+        else:
+            limits = []
+            for name, values in axes.items():
+                own = {run.settings.get(name) for run in runs}  # an axis may be of other variants
+                met = [value for value in values if value in own]
+                limit = _limit(study, runs, name, met, short[name]) if len(met) > 1 else ""
+                limits += [limit] if limit else []
+            said = f"{len(good)} of {len(runs)} runs"
+            said += f": {listed(limits)}" if limits else ""
+        same.setdefault(said, []).append(variant)
+    for said, names in same.items():
+        each = said.replace("its only run", "their only runs") if len(names) > 1 else said
+        yield f"{listed(names)} {one if len(names) == 1 else several}{end} in {each}."
     yield from _price_of_study(study, variants)
 
 
-def _limit(study: Study, runs: Sequence[RunRecord], name: str, values: Sequence[Any]) -> str:
+def _times(study: Study, runs: Sequence[RunRecord]) -> str:
+    """After what time runs settle that all do; empty where that was not measured."""
+    name = _named(study, "settling_time")
+    if not name:
+        return ""
+    times = sorted(run.metrics[name] or 0.0 for run in runs)
+    low, middle, high = (number(v) for v in (times[0], median(times), times[-1]))
+    return f", after {middle} s" + (f" (median; {low} to {high} s)" if low != high else "")
+
+
+def settling_rule(study: Study) -> str:
+    """What it means here that a run settles; empty where that was not measured."""
+    name = _named(study, "settling_time")
+    if not name:
+        return ""
+    about = study.about["metrics"][name]
+    below = about.get("options", {}).get("below")
+    limit = f"below {below:g}" if below is not None else "small"
+    return f"A run settles when |{about['of']}| stays {limit} until the stop time."
+
+
+def _limit(
+    study: Study, runs: Sequence[RunRecord], name: str, values: Sequence[Any], short: str
+) -> str:
     """From which end of an axis on all runs of a variant settle, or none."""
     share = []
     for value in values:
         there = [settled(study, run) for run in runs if run.settings.get(name) == value]
         share.append(sum(there) / len(there) if there else 0.0)
-    short = name.rpartition(".")[2]
+    unit = unit_of(study, name)
     whole, none = [part == 1.0 for part in share], [part == 0.0 for part in share]
     said = []
     for word, held in (("all", whole), ("none", none)):
         if held[0]:
-            said.append(f"in {word} up to {short} = {number(values[held.index(False) - 1])}")
+            last = held.index(False) - 1
+            where = f"up to {short}" if last else f"at {short}"
         elif held[-1]:
             last = len(held) - held[::-1].index(False)
-            said.append(f"in {word} from {short} = {number(values[last])} on")
+            where = f"from {short}" if last < len(held) - 1 else f"at {short}"
+        else:
+            continue
+        on = " on" if where.startswith("from") else ""
+        said.append(f"in {word} {where} = {number(values[last])}{unit}{on}")
+        other = -1 if held[0] else 0  # at the other end not all may settle either
+        if word == "none" and 0.0 < share[other] < 1.0:
+            there = [settled(study, r) for r in runs if r.settings.get(name) == values[other]]
+            said.append(f"in {sum(there)} of {len(there)} at {number(values[other])}{unit}")
     return " and ".join(said)
 
 
@@ -177,6 +302,7 @@ def _price_of_study(study: Study, variants: Mapping[str, Sequence[RunRecord]]) -
         variant: {n for n in axes if len({repr(run.settings.get(n)) for run in runs}) > 1}
         for variant, runs in variants.items()
     }
+    found: dict[tuple[str, str, str], list[str]] = {}
     for other in others:
         # An axis that one of the two has not is no setting to be equal in: its one run is
         # compared with all of the other's.
@@ -201,10 +327,28 @@ def _price_of_study(study: Study, variants: Mapping[str, Sequence[RunRecord]]) -
             low, middle, high = (
                 number(_round(r)) for r in (min(ratios), median(ratios), max(ratios))
             )
-            yield (
-                f"{first} pays with a peak of |u| that is {middle} times that of {other} "
-                f"(median at equal settings; {low} to {high})."
+            found.setdefault((middle, low, high), []).append(other)
+    if not found:
+        return
+    pays = "pays with" if any(float(middle) > 1.0 for middle, _, _ in found) else "needs only"
+    if sum(len(compared) for compared in found.values()) > LISTED:
+        (least, last), (most, top) = (
+            (middle, compared[0])
+            for (middle, _, _), compared in (
+                extreme(found.items(), key=lambda entry: float(entry[0][0]))
+                for extreme in (min, max)
             )
+        )
+        yield (
+            f"{first} {pays} a peak of |u| from {least} times that of {last} to {most} times "
+            f"that of {top} (medians at equal settings)."
+        )
+        return
+    said = []
+    for (middle, low, high), compared in found.items():
+        between = "" if low == middle == high else f" (median at equal settings; {low} to {high})"
+        said.append(f"{middle} times that of {listed(compared)}{between}")
+    yield f"{first} {pays} a peak of |u| that is {listed(said)}."
 
 
 def _named(study: Study, kind: str) -> str | None:

@@ -9,6 +9,7 @@ from importlib.metadata import version
 from typing import Any
 
 from congelation.fmi.description import Description, describe
+from congelation.keys import EXPERIMENT
 from congelation.results.identity import code_version
 from congelation.scenario.metrics import Metric, metric
 from congelation.scenario.parts import MetricSpec
@@ -20,10 +21,13 @@ __all__ = ["about"]
 _PACKAGES = ("fmpy", "pythonfmu", "numpy", "scipy", "pyarrow")
 
 
-def about(scenario: Scenario, varied: Sequence[str]) -> dict[str, Any]:
+def about(
+    scenario: Scenario, varied: Sequence[str], axes: Sequence[Sequence[str]] = ()
+) -> dict[str, Any]:
     """Where the rows of a study come from and how to read them, representable in JSON.
 
-    `varied` names the columns with the settings that differ between runs.
+    `varied` names the columns with the settings that differ between runs, `axes` those that each
+    axis of a sweep changes together.
     """
     descriptions = {c.name: describe(c.fmu) for c in scenario.system.components}
     return {
@@ -31,6 +35,8 @@ def about(scenario: Scenario, varied: Sequence[str]) -> dict[str, Any]:
         "scenario_file": scenario.file.name if scenario.file is not None else "",
         "scenario": scenario.text,
         "varied": list(varied),
+        "axes": [list(names) for names in axes],
+        "units": {name: unit for name in varied if (unit := _unit_of_setting(name, descriptions))},
         "spelled": _spelled(varied, descriptions),
         "metrics": {spec.name: _about_metric(spec, descriptions) for spec in scenario.metrics},
         "figures": [asdict(figure) for figure in scenario.figures],
@@ -80,6 +86,15 @@ def _units(of: str, descriptions: Mapping[str, Description]) -> set[str]:
         for v in (descriptions[component].variables.values() if component else ())
         if v.name == name or v.name.startswith(f"{name}[")
     }
+
+
+def _unit_of_setting(name: str, descriptions: Mapping[str, Description]) -> str:
+    """The unit of what a variant or an axis sets; empty where it has none."""
+    component, _, variable = name.partition(".")
+    if component == "experiment":
+        return next((key.unit for key in EXPERIMENT.keys if key.name == variable), "")
+    found = descriptions[component].variables.get(variable) if component in descriptions else None
+    return found.unit if found is not None else ""
 
 
 def _unit_of(of: str, descriptions: Mapping[str, Description]) -> str:

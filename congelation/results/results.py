@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import html
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
@@ -224,6 +225,7 @@ class Results:
         if not kept:
             raise InvalidInput(f"{self.folder} holds no trajectories to plot")
         runs = [(record, self.store.trajectory(record.run_id)) for record in kept]
+        _let_notebooks_show_figures()
         if name is None and not study.about["figures"]:
             panels = dict.fromkeys(c.partition("[")[0] for c in runs[0][1].columns)
             return draw_panels(runs, tuple(panels), width=width)
@@ -269,3 +271,14 @@ def _text(value: object) -> str:
     if value is None:
         return "–"
     return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _let_notebooks_show_figures() -> None:
+    """What ``%matplotlib inline`` does, which pyplot, not used here, would do by itself."""
+    if "IPython" not in sys.modules:
+        return
+    from IPython import get_ipython
+    from IPython.core.pylabtools import select_figure_formats
+
+    if (shell := get_ipython()) is not None:
+        select_figure_formats(shell, {"png"})

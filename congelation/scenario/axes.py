@@ -220,11 +220,14 @@ class Sweep:
         """Number of points of a variant that has all axes, less none by constraints."""
         return math.prod(len(entries) for entries in self.lists) * max(self.samples, 1)
 
+    def together(self) -> tuple[tuple[str, ...], ...]:
+        """The settings of each axis."""
+        return (*(tuple(entries[0]) for entries in self.lists), *((a.name,) for a in self.axes))
+
     def names(self) -> tuple[str, ...]:
         """The settings that differ between runs."""
-        lists = (name for entries in self.lists for name in entries[0])
         reseeded = self.replicates.reseeded if self.replicates is not None else ()
-        swept = (*lists, *(axis.name for axis in self.axes), *reseeded)
+        swept = (*(name for names in self.together() for name in names), *reseeded)
         return tuple(dict.fromkeys(swept))  # two axes may set the same, for different variants
 
     def of_variant(self, name: str) -> Sweep:

@@ -87,3 +87,38 @@ def _described(
         f"<ModelStructure><Outputs>{outputs}</Outputs></ModelStructure>"
         "</fmiModelDescription>"
     )
+
+
+def bouncing_fmu(folder: Path) -> Path:
+    """x'' = -g - w x + b u, y = x + d u, of model exchange; see fmus/bouncing.c."""
+    names = ("u", "y", "kicks", "g", "w", "b", "d", "e", "x0", "v0", "fault", "asks", "ends")
+    parts = [
+        '<ScalarVariable name="u" valueReference="0" causality="input"><Real start="0"/>',
+        '<ScalarVariable name="y" valueReference="1" causality="output"><Real/>',
+        '<ScalarVariable name="kicks" valueReference="2" causality="output" '
+        'variability="discrete"><Real/>',
+        *(
+            f'<ScalarVariable name="{name}" valueReference="{k}" causality="parameter" '
+            'variability="fixed"><Real start="0"/>'
+            for k, name in enumerate(names[3:], 3)
+        ),
+        '<ScalarVariable name="x" valueReference="13" causality="local"><Real/>',
+        '<ScalarVariable name="v" valueReference="14" causality="local"><Real/>',
+        '<ScalarVariable name="der(x)" valueReference="15" causality="local">'
+        '<Real derivative="14"/>',
+        '<ScalarVariable name="der(v)" valueReference="16" causality="local">'
+        '<Real derivative="15"/>',
+    ]
+    variables = "".join(f"{part}</ScalarVariable>" for part in parts)
+    return compile_fmu(
+        folder / "bouncing.fmu",
+        "bouncing.c",
+        '<?xml version="1.0" encoding="UTF-8"?>'
+        '<fmiModelDescription fmiVersion="2.0" modelName="bouncing" guid="{3}" '
+        'numberOfEventIndicators="1"><ModelExchange modelIdentifier="bouncing"/>'
+        '<CoSimulation modelIdentifier="bouncing"/>'
+        f"<ModelVariables>{variables}</ModelVariables><ModelStructure><Outputs>"
+        '<Unknown index="2" dependencies="1"/><Unknown index="3" dependencies=""/></Outputs>'
+        '<Derivatives><Unknown index="16"/><Unknown index="17"/></Derivatives>'
+        "</ModelStructure></fmiModelDescription>",
+    )

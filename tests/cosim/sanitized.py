@@ -1,5 +1,5 @@
 """Runs of every kind in a compiled loop that is given: ``python -m tests.cosim.sanitized LIBRARY
-PARTS PLAIN`` prints how many there were."""
+PARTS PLAIN BALL`` prints how many there were."""
 
 import sys
 from collections.abc import Mapping
@@ -46,7 +46,7 @@ def faulty(plain: Path, fault: float) -> System:
     )
 
 
-def main(file: Path, parts: Path, plain: Path) -> int:
+def main(file: Path, parts: Path, plain: Path, ball: Path) -> int:
     """The number of runs in which the library was called."""
     found = library.load_library(file)
     assert found is not None
@@ -67,6 +67,12 @@ def main(file: Path, parts: Path, plain: Path) -> int:
         for fault in (6.0, 7.0, 8.0):
             runs += 1
             perform(faulty(plain, fault), Experiment(stop_time=1.0, **way))
+    for change in ({}, {"asks": 0.1}, *({"fault": float(k), "asks": 0.1} for k in range(1, 6))):
+        for output in (Output(), Output(interval=0.01)):
+            runs += 1
+            system = System((Component("ball", ball, {"g": 9.0, "e": 0.5, "x0": 1.0} | change),))
+            experiment = Experiment(stop_time=0.7, tolerance=1e-6, coupling="model_exchange")
+            perform(system, experiment, output=output)
     return len(used)
 
 

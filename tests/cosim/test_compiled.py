@@ -27,7 +27,7 @@ from congelation.cosim.coupling.derivative import DerivativeStepper
 from congelation.cosim.coupling.hermite import HermiteStepper
 from congelation.cosim.session import Session
 from congelation.scenario.load import load_scenario
-from tests.cosim.c_fmus import plain_fmu
+from tests.cosim.c_fmus import bouncing_fmu, plain_fmu
 from tests.cosim.sanitized import WAYS, faulty
 from tests.scenarios import ROOT
 
@@ -251,11 +251,19 @@ def test_sanitizers_find_nothing(plain: Path, parts: Path, tmp_path: Path) -> No
     )
     # Python and the FMUs keep memory until the end, which is no fault of the loop.
     ended = subprocess.run(
-        [sys.executable, "-m", "tests.cosim.sanitized", built, parts, plain],
+        [
+            sys.executable,
+            "-m",
+            "tests.cosim.sanitized",
+            built,
+            parts,
+            plain,
+            bouncing_fmu(tmp_path),
+        ],
         cwd=ROOT,
         env={**os.environ, "LD_PRELOAD": address, "ASAN_OPTIONS": "detect_leaks=0"},
         capture_output=True,
         text=True,
     )
     assert ended.returncode == 0, ended.stderr[-3000:]
-    assert int(ended.stdout) >= 50, "runs that the loop has made"
+    assert int(ended.stdout) >= 64, "runs that the loop has made"

@@ -12,11 +12,13 @@ library     the shared library
 base        the system, and what all calls have in common
 held        jacobi and gauss_seidel
 polynomials hermite and derivative
+model_exchange  DOP853 on all states
 """
 
 from congelation.cosim.compiled.base import CHUNK, DONE, FULL, NOT_FINITE, UNUSUAL, fits
 from congelation.cosim.compiled.held import CompiledHeld
 from congelation.cosim.compiled.library import available
+from congelation.cosim.compiled.model_exchange import CompiledIntegrator, CompiledRates
 from congelation.cosim.compiled.polynomials import CompiledPolynomials
 from congelation.cosim.compiled.structures import Loop
 
@@ -27,7 +29,9 @@ __all__ = [
     "NOT_FINITE",
     "UNUSUAL",
     "CompiledHeld",
+    "CompiledIntegrator",
     "CompiledPolynomials",
+    "CompiledRates",
     "Loop",
     "available",
     "fits",

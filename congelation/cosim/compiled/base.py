@@ -26,10 +26,22 @@ CHUNK = 1024
 KEPT_POINTS = 256
 """Communication points that are kept before rows are made of them."""
 
-DONE, FULL, REFUSED, NOT_FINITE, UNUSUAL, UNSOLVED = range(6)
+(
+    DONE,
+    FULL,
+    REFUSED,
+    NOT_FINITE,
+    UNUSUAL,
+    UNSOLVED,
+    TOO_SMALL,
+    CROSSED,
+    TERMINATED,
+    UNSETTLED,
+    LATE,
+) = range(11)
 """Why a call ended; as in loop/structures.h."""
 
-POINT, BEFORE_JUMP, AFTER_JUMP = range(3)
+POINT, BEFORE_JUMP, AFTER_JUMP, VISITED = range(4)
 """What a kept row is of; as in loop/structures.h."""
 
 
@@ -135,7 +147,7 @@ class Compiled:
             get_note=slave.note("fmi2GetFMUstate")[1],
             free_note=slave.note("fmi2FreeFMUstate")[1],
             set_note=slave.note("fmi2SetFMUstate")[1],
-            step=slave.address("fmi2DoStep"),
+            step=None if slave.exchange else slave.address("fmi2DoStep"),
             get_state=slave.address("fmi2GetFMUstate"),
             free_state=slave.address("fmi2FreeFMUstate"),
             set_state=slave.address("fmi2SetFMUstate"),
@@ -188,7 +200,7 @@ class Compiled:
         loop.most = most
         loop.steps = loop.rejected = loop.events_crossed = loop.floors = 0
         loop.passes = loop.calls = 0
-        self._refusals = [slave.log.refusals for slave in self.ensemble.slaves]
+        self.watch_refusals()
         code = function(ctypes.byref(loop), *arguments)
         if direct is not None:
             direct.recorder.filled(loop.n_rows)
@@ -199,10 +211,14 @@ class Compiled:
             for point, kind in zip(room[: loop.n_rows], self._kinds.tolist(), strict=False):
                 Y[:] = point[1:]
                 for rows in self._rows:
-                    taken = (rows.point, rows.before_jump, rows.after_jump)[kind]
+                    taken = (rows.point, rows.before_jump, rows.after_jump, rows.visit)[kind]
                     taken(float(point[0]))
             Y[:] = now
         return code
+
+    def watch_refusals(self) -> None:
+        """Remember what the FMUs have logged before a call."""
+        self._refusals = [slave.log.refusals for slave in self.ensemble.slaves]
 
     def raise_for(self, code: int, time: float) -> None:
         """Raise what ended a run: what an FMU refused, or a jump at `time` led to.

@@ -11,8 +11,10 @@ __all__ = [
     "Block",
     "Call",
     "Grid",
+    "Integrator",
     "Loop",
     "Memory",
+    "Part",
     "Plan",
     "Slave",
     "State",
@@ -200,4 +202,77 @@ class Memory(ctypes.Structure):
         ("rejected", ctypes.c_int),
         ("n_grids", ctypes.c_int),
         ("grids", ctypes.POINTER(Grid)),
+    ]
+
+
+class Part(ctypes.Structure):
+    """An FMU of model exchange, besides its Slave."""
+
+    _fields_ = [
+        ("set_time", ctypes.c_void_p),
+        ("set_states", ctypes.c_void_p),
+        ("get_rates", ctypes.c_void_p),
+        ("get_indicators", ctypes.c_void_p),
+        ("completed", ctypes.c_void_p),
+        ("enter_event", ctypes.c_void_p),
+        ("enter_continuous", ctypes.c_void_p),
+        ("new_states", ctypes.c_void_p),
+        ("get_states", ctypes.c_void_p),
+        ("get_nominals", ctypes.c_void_p),
+        ("time_note", ctypes.c_uint64),
+        ("states_note", ctypes.c_uint64),
+        ("rates_note", ctypes.c_uint64),
+        ("indicators_note", ctypes.c_uint64),
+        ("completed_note", ctypes.c_uint64),
+        ("event_note", ctypes.c_uint64),
+        ("n_states", ctypes.c_size_t),
+        ("n_indicators", ctypes.c_size_t),
+        ("first", ctypes.c_ssize_t),
+        ("positive", ctypes.c_void_p),
+    ]
+
+
+class Integrator(ctypes.Structure):
+    """All states of a system, and the method that integrates them."""
+
+    _fields_ = [
+        ("drive", ctypes.POINTER(Loop)),
+        ("parts", ctypes.POINTER(Part)),
+        ("n", ctypes.c_ssize_t),
+        ("nominal", ctypes.c_void_p),
+        ("tolerance", ctypes.c_double),
+        ("step", ctypes.c_double),
+        ("A", ctypes.c_void_p),
+        ("B", ctypes.c_void_p),
+        ("C", ctypes.c_void_p),
+        ("E3", ctypes.c_void_p),
+        ("E5", ctypes.c_void_p),
+        ("D", ctypes.c_void_p),
+        ("A_extra", ctypes.c_void_p),
+        ("C_extra", ctypes.c_void_p),
+        ("x", ctypes.c_void_p),
+        ("x_old", ctypes.c_void_p),
+        ("x_new", ctypes.c_void_p),
+        ("K", ctypes.c_void_p),
+        ("F", ctypes.c_void_p),
+        ("work", ctypes.c_void_p),
+        ("indicators", ctypes.c_void_p),
+        ("t_old", ctypes.c_double),
+        ("largest", ctypes.c_double),
+        ("event", ctypes.c_double),
+        ("Y_before", ctypes.c_void_p),
+        ("n_Y", ctypes.c_ssize_t),
+        ("leaves", ctypes.c_double),
+        ("visits", ctypes.c_void_p),
+        ("near", ctypes.c_double),
+        ("n_visits", ctypes.c_long),
+        ("visited", ctypes.c_long),
+        ("rejected", ctypes.c_long),
+        ("more", ctypes.c_int),
+        ("restarts", ctypes.c_int),
+        ("is_dense", ctypes.c_int),
+        ("reached", ctypes.c_int),
+        ("displaced", ctypes.c_int),
+        ("ended", ctypes.c_int),
+        ("in_event", ctypes.c_int),
     ]

@@ -58,10 +58,8 @@ static int solve(Loop *loop, const Block *block) {
     return UNSOLVED;
 }
 
-/* Exchange.run, of a system without discrete connections. */
-EXPORT int run_exchange(Loop *loop) {
-    const size_t L = (size_t)loop->n_links;
-    memset(loop->C + 2 * L, 0, 2 * L * sizeof(double));
+/* Exchange.carry: outputs to inputs, in the order of the dependencies. */
+static int carry(Loop *loop) {
     for (int b = 0; b < loop->n_blocks; b++) {
         const Block *block = &loop->blocks[b];
         int code = read_sources(loop, block);
@@ -72,6 +70,15 @@ EXPORT int run_exchange(Loop *loop) {
         if (!code && block->loops) code = solve(loop, block);
         if (code) return code;
     }
+    return DONE;
+}
+
+/* Exchange.run, of a system without discrete connections. */
+EXPORT int run_exchange(Loop *loop) {
+    const size_t L = (size_t)loop->n_links;
+    memset(loop->C + 2 * L, 0, 2 * L * sizeof(double));
+    const int carried = carry(loop);
+    if (carried) return carried;
     for (int m = 0; m < loop->n_slaves; m++) {
         const Slave *slave = &loop->slaves[loop->which = m];
         const int code = call_reads(loop, slave);

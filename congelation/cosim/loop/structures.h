@@ -18,8 +18,9 @@
 #endif
 
 enum { WARNING = 1 };                                 /* of fmi2Status */
-enum { DONE, FULL, REFUSED, NOT_FINITE, UNUSUAL, UNSOLVED };  /* why a run of steps ended */
-enum { POINT, BEFORE_JUMP, AFTER_JUMP };              /* what a row is of */
+enum { DONE, FULL, REFUSED, NOT_FINITE, UNUSUAL, UNSOLVED,       /* why a run of steps ended; */
+       TOO_SMALL, CROSSED, TERMINATED, UNSETTLED, LATE };  /* the others by model exchange alone */
+enum { POINT, BEFORE_JUMP, AFTER_JUMP, VISITED };     /* what a row is of */
 
 typedef int (*StepFunction)(void *, double, double, int);
 typedef int (*RealFunction)(void *, const unsigned *, size_t, double *);
@@ -148,5 +149,52 @@ typedef struct {
     const ptrdiff_t *back;
     double *work;             /* of work_size(L, n) numbers */
 } Plan;
+
+typedef struct {              /* fmi2EventInfo */
+    int again, ends, nominals_changed, states_changed, has_event;
+    double event;
+} DiscreteStates;
+
+/* An FMU of model exchange, besides its Slave. */
+typedef struct {
+    int (*set_time)(void *, double);
+    int (*set_states)(void *, const double *, size_t);
+    int (*get_rates)(void *, double *, size_t);
+    int (*get_indicators)(void *, double *, size_t);
+    int (*completed)(void *, int, int *, int *);  /* NULL: it need not be called */
+    int (*enter_event)(void *), (*enter_continuous)(void *);
+    int (*new_states)(void *, DiscreteStates *);
+    int (*get_states)(void *, double *, size_t);
+    int (*get_nominals)(void *, double *, size_t);
+    uint64_t time_note, states_note, rates_note, indicators_note, completed_note, event_note;
+    size_t n_states, n_indicators;
+    ptrdiff_t first;          /* of its states in x */
+    unsigned char *positive;  /* (n_indicators,): which were so after the last event */
+} Part;
+
+/* All states of a system, and the method that integrates them: see dop853.c. */
+typedef struct {
+    Loop *drive;              /* the values that drive inputs, and nothing else */
+    const Part *parts;
+    ptrdiff_t n;
+    double *nominal;          /* (n,) */
+    double tolerance, step;   /* step 0: it is to be chosen */
+    const double *A, *B, *C, *E3, *E5, *D, *A_extra, *C_extra;
+    double *x, *x_old, *x_new;
+    double *K, *F, *work;     /* (16, n), (7, n), (2 n,) */
+    double *indicators;       /* of the FMU that has the most */
+    double t_old, largest, event;  /* `event`: the next announced one; infinite: none */
+    double *Y_before;         /* (n_Y,): all that was read before discrete states changed */
+    ptrdiff_t n_Y;
+    double leaves;            /* change of what is read that counts as none; see `settled` */
+    const double *visits;     /* times at which rows are asked for, beyond the start */
+    double near;              /* a visit this near to the end of a step is there */
+    long n_visits, visited, rejected;
+    int more;                 /* whether there are more of them */
+    int restarts, is_dense;   /* f at *time is not known; F is that of the last step */
+    int reached, displaced;   /* its rows are still to be made; the FMUs are not at its end */
+    int ended;                /* the FMU that wants no further step, or announces an event too late */
+    int in_event;             /* an event was being made */
+} Integrator;
 
 #endif
