@@ -42,7 +42,8 @@ def sanitized(name: str, folder: Path) -> Path:
     file = folder / f"{name}.fmu"
     with zipfile.ZipFile(file, "w") as archive:
         for path in sorted(root.rglob("*")):
-            archive.write(path, path.relative_to(root))
+            if path.is_file():
+                archive.write(path, path.relative_to(root))
     return file
 
 
