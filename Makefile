@@ -5,12 +5,13 @@ PYTHON ?= python3
 BIN := .venv/bin
 SOURCES := $(shell find congelation fmu_src specs -name '*.py' -o -name '*.toml' -o -name '*.html' -o -name '*.txt' -o -name '*.png' -o -name '*.[ch]') build_fmu.py
 
-.PHONY: help demo test system-packages test-platforms test-fast fuzz check format bench bench-coupling corpus docs fmus lock clean
+.PHONY: help demo test system-packages system-packages-further test-platforms test-fast fuzz check format bench bench-coupling corpus docs fmus lock clean
 
 help:
 	@echo "make demo    Figs. 1-3 of the paper from FMUs, a sweep, and a page that links them all"
 	@echo "make test    the whole test suite"
 	@echo "make system-packages   what tests use that is no Python package (Debian, as root)"
+	@echo "make system-packages-further   the same for test-platforms and fuzz"
 	@echo "make test-platforms   native FMUs for Windows and ARM, run in emulators; installs ziglang and, as root, wine64 and qemu-user"
 	@echo "make test-fast   the tests that are not marked slow"
 	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each, ten minutes each of mutations and of calls of native FMUs, every rule on every FMU"
@@ -27,6 +28,7 @@ help:
 .venv/installed: pyproject.toml requirements.lock setup.py $(wildcard congelation/cosim/loop/*.[ch])
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Python >= 3.11 is needed; set PYTHON=..")'
 	$(PYTHON) -m venv .venv
+	@echo "installing into .venv, which takes some minutes"
 	$(BIN)/pip install --quiet --disable-pip-version-check --requirement requirements.lock
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --editable .
 	@touch $@
@@ -61,20 +63,24 @@ PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
 
 # Debian's packages that tests use; a test that lacks one is skipped, and says so.
 SYSTEM_PACKAGES := chromium cppcheck
-# Of test-platforms: 120 MB, half a minute.
-EMULATORS := wine64 qemu-user libc6-arm64-cross
+# What test-platforms and fuzz use besides: 300 MB, a minute.
+FURTHER_PACKAGES := wine64 qemu-user libc6-arm64-cross valgrind clang-14 libclang-rt-14-dev
 
 system-packages:
 	@for name in $(SYSTEM_PACKAGES); do \
 		dpkg-query --show --showformat='$${Status}' $$name 2>/dev/null | grep -q "ok installed" || missing="$$missing $$name"; \
 	done; test -z "$$missing" || { apt-get update --quiet && apt-get install --yes --no-install-recommends $$missing; }
 
+system-packages-further:
+	@$(MAKE) --no-print-directory system-packages SYSTEM_PACKAGES="$(FURTHER_PACKAGES)"
+
+FURTHER := if test "$$(id -u)" = 0 && command -v apt-get >/dev/null; then $(MAKE) --no-print-directory system-packages-further; fi
+
 # ziglang compiles the libraries of each platform at first: a minute and a half of processor time for
 # Windows, a few seconds for each other one. They stay in its cache (ZIG_GLOBAL_CACHE_DIR).
 test-platforms: fmus
 	$(BIN)/pip install --quiet --disable-pip-version-check --requirement requirements-platforms.lock
-	-@if test "$$(id -u)" = 0 && command -v apt-get >/dev/null; then \
-		$(MAKE) --no-print-directory system-packages SYSTEM_PACKAGES="$(EMULATORS)"; fi
+	-@$(FURTHER)
 	$(BIN)/python -m pytest tests/native/test_platforms.py
 
 # Where the system's packages can be had, they are installed; else the tests say what they skipped.
@@ -87,6 +93,7 @@ test-fast: fmus
 
 SECONDS_OF_MUTATIONS = 600
 fuzz: fmus
+	-@$(FURTHER)
 	CONGELATION_FUZZ_SECONDS=$(SECONDS_OF_MUTATIONS) $(BIN)/python -m pytest -m fuzz --hypothesis-profile=fuzz
 	$(BIN)/congelation check fmus/*.fmu fmus/native/*.fmu
 	$(MAKE) --no-print-directory test-platforms

@@ -48,8 +48,6 @@ STANDARD = (
     "wing_rock",
     "pendulum_length",
 )
-# A delay has no native twin.
-NATIVE = tuple(name for name in STANDARD if name != "delay")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -59,8 +57,7 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("--out", default=str(ROOT / "fmus"), help="where to write them")
     parser.add_argument("--native", action="store_true", help="their native twins instead")
     options = parser.parse_args(arguments)
-    standard = NATIVE if options.native else STANDARD
-    specs = options.spec or [str(ROOT / "specs" / f"{name}.toml") for name in standard]
+    specs = options.spec or [str(ROOT / "specs" / f"{name}.toml") for name in STANDARD]
     native = ["--native"] if options.native else []
     congelation(["build", *specs, "--out", options.out, *native])
 

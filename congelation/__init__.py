@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from congelation.export.spec import Spec
     from congelation.results.results import Results, open_results
     from congelation.scenario.load import load_scenario
-    from congelation.scenario.parts import Variant
+    from congelation.scenario.parts import MetricSpec, Variant
     from congelation.scenario.scenario import Scenario
     from congelation.scenario.ssp import write_ssp as export_ssp
     from congelation.sweep.engine import run, sweep
@@ -68,6 +68,7 @@ __all__ = [
     "Info",
     "InvalidInput",
     "Jacobi",
+    "MetricSpec",
     "ModelExchange",
     "Output",
     "Result",
@@ -108,6 +109,7 @@ _PLACES: Mapping[str, str] = {
     "Info": "cosim.info:Info",
     "InvalidInput": "errors:InvalidInput",
     "Jacobi": "cosim.coupling:Jacobi",
+    "MetricSpec": "scenario.parts:MetricSpec",
     "Output": "cosim:Output",
     "Result": "cosim:Result",
     "Results": "results.results:Results",

@@ -33,7 +33,6 @@ html_extra_path = ["generated/files"]
 html_show_sphinx = False
 html_static_path = ["static"]
 html_css_files = ["site.css"]
-smartquotes_action = "qe"  # quotes and ellipses; "--" is the beginning of an option
 
 myst_enable_extensions = ["deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 4

@@ -66,7 +66,8 @@ def write_notebooks(folder: Path) -> None:
 
 
 def cell(text: object) -> str:
-    """A text as the cell of a table."""
+    """A text as the cell of a table; ``--option`` in it is no dash."""
+    text = re.sub(r"(?<![`\w])--\w[\w-]*", r"`\g<0>`", str(text))
     return str(text).replace("|", "\\|").replace("\n", " ").replace("<", "&lt;")
 
 
@@ -134,7 +135,11 @@ def keys(root: Table, what: str) -> list[str]:
         '`{value = 5, unit = "ms"}`.',
         "",
     ]
+    seen: list[Table] = []  # the terms of a profile are those of a plant and of a block
     for name, found in _tables(root, ""):
+        if any(found is other for other in seen):
+            continue
+        seen.append(found)
         lines += [f"## {name or 'The file'}", "", found.text, ""]
         rows = [_key(key) for key in (*found.keys, *((found.extra,) if found.extra else ()))]
         lines += table(["key", "value", "default", "what it is"], rows)

@@ -7,6 +7,7 @@ Property-based tests draw the same 40 examples in every run of `make test`, and 
 import os
 import signal
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -25,16 +26,42 @@ settings.register_profile("fuzz", max_examples=1000, deadline=None, print_blob=T
 settings.load_profile("repeatable")  # --hypothesis-profile=fuzz takes its place
 
 
-SLOW_ROOMS = ("benchmarks", "conformance", "engines")
-"""Folders whose tests run processes, hosts and engines; `make test-fast` leaves them out."""
+SLOW = (
+    "benchmarks",
+    "cli",
+    "conformance",
+    "cosim/test_compiled.py",
+    "cosim/test_couplings.py",
+    "cosim/test_output.py",
+    "design",
+    "engines",
+    "export/test_shipped_specs.py",
+    "fmus",
+    "fuzz",
+    "native",
+    "package",
+    "report/test_browser.py",
+    "scenario/test_shipped.py",
+    "scenario/test_ssp.py",
+    "sweep",
+    "theory/test_weakened.py",
+    "verify/test_measure.py",
+)
+"""Folders and files whose tests run processes, hosts, engines, all scenarios; `make test-fast`
+leaves them out."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    for item in items:
-        if item.path.parent.name in SLOW_ROOMS:
-            item.add_marker(pytest.mark.slow)
+    tests = Path(__file__).parent
+    slow = [tests / place for place in SLOW]
+
+    def is_slow(item: pytest.Item) -> bool:
+        return any(item.path.is_relative_to(place) for place in slow)
+
+    for item in filter(is_slow, items):
+        item.add_marker(pytest.mark.slow)
     # First, so that no long file is left for the end, when the other processes have nothing to do.
-    items.sort(key=lambda item: item.path.parent.name not in SLOW_ROOMS)
+    items.sort(key=lambda item: not is_slow(item))
 
 
 _STATUS = pytest.StashKey[int]()

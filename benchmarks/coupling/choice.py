@@ -20,6 +20,7 @@ import numpy as np
 from benchmarks.coupling.problems import Problem
 from benchmarks.coupling.work import PREDICTABLE
 from congelation.cosim import Coupling, Derivative, Result, simulate
+from congelation.cosim.trust import MOST_LEVELS
 
 __all__ = ["LIMIT", "Chosen", "measure", "table"]
 
@@ -28,6 +29,9 @@ LIMIT = 2.0
 
 ROWS = 100
 """Of a run, about as many as are compared with the solution."""
+
+INSTANTS = 20_000
+"""At which a variable that switches is compared with the solution."""
 
 MOST_STEPS = 20_000
 
@@ -166,20 +170,29 @@ def _run(
 
 
 def _compared(problem: Problem, results: Sequence[tuple[str, Result]]) -> Iterator[Run | None]:
-    """The runs with their errors; None for those that did not come to their end."""
+    """The runs with their errors; None for those that did not come to their end.
+
+    The error of a variable is the largest over its peak. One that switches is wrong by its whole
+    size whenever it switches late: its error is the share of the time in which it is wrong.
+    """
     rows = [slice(None, None, max(1, len(result.time) // ROWS)) for _, result in results]
     whole = [r.time[part] for (_, r), part in zip(results, rows, strict=True) if r.completed]
     times = np.unique(np.concatenate(whole))
     exact = problem.exact(times)
     peaks = np.abs(exact).max(axis=0)
+    switched = np.array([len(np.unique(column)) <= MOST_LEVELS for column in exact.T])
+    instants = np.linspace(0.0, problem.stop, INSTANTS + 1)[:-1]
+    levels = problem.exact(instants)[:, switched] if switched.any() else np.empty((INSTANTS, 0))
     for (name, result), part in zip(results, rows, strict=True):
         if not result.completed:
             yield None
             continue
         expected = exact[np.searchsorted(times, result.time[part])]
-        error = (np.abs(result.values[part] - expected).max(axis=0) / peaks).max()
+        errors = np.abs(result.values[part] - expected).max(axis=0) / peaks
+        last = np.searchsorted(result.time, instants, "right") - 1
+        errors[switched] = (result.values[last][:, switched] != levels).mean(axis=0)
         steps = result.statistics.iterations * len(problem.parts)
-        yield Run(name, steps, float(error))
+        yield Run(name, steps, float(errors.max()))
 
 
 def _best(runs: Iterable[Run], steps: int) -> tuple[str, float]:

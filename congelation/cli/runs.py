@@ -364,5 +364,5 @@ def _complaints(records: Iterable[RunRecord]) -> Iterator[str]:
                 yield (
                     f"{record.variant}: {variable} is off the monolithic solution by "
                     f"{relative:.1e} of its peak (at most {LARGEST_DEVIATION:g}); "
-                    "shorten the communication step"
+                    "give a smaller tolerance or, where the step is fixed, a shorter step"
                 )

@@ -125,7 +125,7 @@ class Checker:
         elif not self._has_binary():
             why = f"no binary for this platform ({platform_folder()})"
         elif static:
-            why = "as asked for"
+            why = "the others were not asked for"
         if why:
             return f"{what}, {only}: {why}", True, why
         return f"{what}, static rules and dynamic rules on {platform_folder()}", True, ""
@@ -153,7 +153,7 @@ class Checker:
             outcome, breaches, reason, _ = judge(rule, self._subject)
             return Verdict(rule, outcome, breaches, reason)
         if self._obstacle:
-            return Verdict(rule, Outcome.NOT_APPLICABLE, reason=self._obstacle)
+            return Verdict(rule, Outcome.NOT_EVALUATED, reason=self._obstacle)
         if not isinstance(rule, DynamicRule):
             raise TypeError(f"{rule.id} is neither static nor dynamic")
         with self._surveying:

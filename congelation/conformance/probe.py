@@ -9,6 +9,7 @@ from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
 from congelation.conformance.description import Description, Value, Variable
 from congelation.conformance.instance import Instance
+from congelation.conformance.rule import Violated
 from congelation.conformance.trajectory import by_base, demand, excitation, excite, inputs, same
 
 __all__ = ["feedthrough", "initial_sensitivity", "read", "shifted"]
@@ -124,7 +125,7 @@ def _readings(
     """The unknowns in Initialization Mode at a point, one Known shifted.
 
     None if that cannot be done: it is no Known, there is no other value for it, or the FMU does
-    not accept the values (which it may find out no earlier than at the first step).
+    not accept the values (which it may find out when an unknown is read, or at the first step).
     """
     description = bench.description
     shift = _shift_of(known, point, description)
@@ -140,7 +141,12 @@ def _readings(
     if instance.setup(start) != Status.OK or instance.enter() != Status.OK:
         return None
     excite(instance, description, 0, instead=values)
-    found = read(instance, unknowns)
+    try:
+        found = read(instance, unknowns)
+    except Violated:
+        if known is None and not point.values:
+            raise  # at the start values of the XML there is nothing to refuse
+        return None
     accepted = instance.leave() == Status.OK and instance.step(start, bench.grid.step) == Status.OK
     return found if accepted else None
 

@@ -203,7 +203,8 @@ def tightened(experiment: Experiment, order: int) -> Experiment:
         coupling = replace(
             coupling,
             order=HIGH if order == LOW else coupling.order,
-            iterations=None,
+            # One iteration takes no step back, which FMUs may not be able to.
+            iterations=1 if coupling.iterations == 1 else None,
             tolerance=TIGHTER * accuracy,
         )
     slaves = slave_tolerance(experiment)

@@ -9,8 +9,10 @@ from functools import cached_property
 from numbers import Real
 
 from congelation.cosim.coupling import (
+    Auto,
     Coupling,
     Derivative,
+    Hermite,
     ModelExchange,
     make_coupling,
     refuse_tolerance,
@@ -104,7 +106,7 @@ class Experiment:
     start_time: float = 0.0
     step: float | None = None
     tolerance: float | None = None
-    coupling: str | Coupling = "auto"
+    coupling: str | Coupling | Auto = Auto.name
     options: Mapping[str, object] = field(default_factory=dict)
     slave_tolerance: float | None = None
     output_interval: float | None = None
@@ -129,11 +131,11 @@ class Experiment:
             raise InvalidInput(
                 "options go with the name of a coupling; this one has its own already"
             )
-        self.chosen_coupling  # noqa: B018  # refuses what is unknown
+        self.given_coupling  # noqa: B018  # refuses what is unknown
 
     @cached_property
-    def chosen_coupling(self) -> Coupling:
-        """The coupling itself.
+    def given_coupling(self) -> Coupling | Auto:
+        """The coupling itself, or what stands for one that is still to be found.
 
         Raises
         ------
@@ -143,6 +145,29 @@ class Experiment:
         if isinstance(self.coupling, str):
             return make_coupling(self.coupling, self.options)
         return self.coupling
+
+    @property
+    def chosen_coupling(self) -> Coupling:
+        """The coupling itself.
+
+        Raises
+        ------
+        InvalidInput
+            It is still to be found.
+        """
+        coupling = self.given_coupling
+        if isinstance(coupling, Auto):
+            raise InvalidInput(
+                f"coupling '{coupling.name}' stands for another one, which simulate and perform "
+                "find; give that one"
+            )
+        return coupling
+
+    @property
+    def periods(self) -> Mapping[str, float]:
+        """Times between points that the coupling adds of its own, in seconds, by option."""
+        coupling = self.given_coupling
+        return {} if isinstance(coupling, Auto) else coupling.periods
 
     @property
     def output(self) -> Output | None:
@@ -181,7 +206,7 @@ def require_resolved_periods(experiment: Experiment, outputs: Sequence[Output]) 
     InvalidInput
     """
     start, stop = experiment.start_time, experiment.stop_time
-    periods = [("step", experiment.step), *experiment.chosen_coupling.periods.items()]
+    periods = [("step", experiment.step), *experiment.periods.items()]
     periods += [("output interval", output.interval) for output in outputs]
     for name, period in periods:
         if period is None:
@@ -226,7 +251,7 @@ def require_abilities(system: ResolvedSystem, experiment: Experiment) -> None:
                 )
         return
     purpose = None
-    predicts = isinstance(coupling, Derivative) and coupling.control == "prediction"
+    predicts = isinstance(coupling, Derivative | Hermite) and coupling.control == "prediction"
     if tolerance is not None and not predicts:
         purpose = "a tolerance (steps are taken back)"
     elif coupling.rolls_back:

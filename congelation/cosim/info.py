@@ -34,6 +34,9 @@ COARSEST = 10
 MOST_STEPS = 20_000
 """Most steps of a trial, about a second; beyond it the step for 1 % is extrapolated."""
 
+SHORTEST = 2.0**-12
+"""Smallest part of the horizon that trials are cut to where no longer step has an error of 1 %."""
+
 RESOLUTION = 1.05
 """Ratio of an unstable step to a stable one at which the search for the limit ends."""
 
@@ -58,7 +61,7 @@ class PairInfo:
     connections : tuple of str
         ``output -> input``.
     stop_time : float
-        Seconds that the trial runs took.
+        Seconds that the trial runs took; of several horizons the last and shortest.
     stable_step, accurate_step : float or None
         Largest communication steps, in seconds, with an error below the size of the answer, and of
         1 %; None if they are shorter than all steps that were tried.
@@ -211,15 +214,22 @@ def _searched(
     """Halve the step until the error is 1 %, then find the two limits between the trials."""
     record = [str(connection.source) for connection in system.connections]
     trials: list[Trial] = []
+    horizons: dict[float, float] = {}
 
-    def run(steps: int) -> Trial:
-        step = stop_time / steps
-        trials.append(Trial(step, _error(system, stop_time, step, record, pool)))
+    def run(steps: int, horizon: float) -> Trial:
+        step = horizon / steps
+        horizons[step] = horizon
+        trials.append(Trial(step, _error(system, horizon, step, record, pool)))
         return trials[-1]
 
-    steps = COARSEST
-    while run(steps).error > ACCURATE and 2 * steps <= MOST_STEPS:
-        steps *= 2
+    horizon, steps = stop_time, COARSEST
+    while run(steps, horizon).error > ACCURATE:
+        if 2 * steps <= MOST_STEPS:
+            steps *= 2
+        elif _accurate(trials)[0] is None and horizon > SHORTEST * stop_time:
+            horizon /= 2.0  # with as many steps, so that this trial takes no longer than the last
+        else:
+            break
     scan = list(trials)
 
     # The limit of stability lies between the last unstable step and the next, if there is one: an
@@ -231,7 +241,8 @@ def _searched(
     elif unstable:
         long, short = scan[unstable[-1]].step, scan[unstable[-1] + 1].step
         while long / short > RESOLUTION:
-            middle = run(max(1, round(stop_time / math.sqrt(long * short))))
+            span = horizons[short]  # on a shorter one, an unstable step might not have shown yet
+            middle = run(max(1, round(span / math.sqrt(long * short))), span)
             if middle.error > STABLE:
                 long = middle.step
             else:
@@ -241,12 +252,17 @@ def _searched(
     trials.sort(key=lambda trial: -trial.step)
     accurate_step, extrapolated = _accurate(scan)
     how = (
-        f"Found by runs from the start values to t = {stop_time:g} s with held inputs (jacobi), "
+        f"Found by runs from the start values to t = {horizon:g} s with held inputs (jacobi), "
         f"compared with the coupling 'hermite' at tolerance {REFERENCE_TOLERANCE:g}. The error is "
         "the largest distance of a connected output, relative to its peak; a step counts as stable "
         "where it is below 100 %. Other parameters, start values or profiles have other limits."
     )
-    return PairInfo(links, stop_time, stable_step, accurate_step, extrapolated, tuple(trials), how)
+    if horizon < stop_time:
+        how += (
+            f" Steps below {stop_time / steps:.2g} s were tried over ever shorter times, the last "
+            f"to t = {horizon:g} s; the loop may need still shorter ones later."
+        )
+    return PairInfo(links, horizon, stable_step, accurate_step, extrapolated, tuple(trials), how)
 
 
 def _accurate(scan: Sequence[Trial]) -> tuple[float | None, bool]:

@@ -43,7 +43,7 @@ def simulate(
     stop_time: float,
     step: float | None = None,
     tolerance: float | None = None,
-    coupling: str | Coupling = "auto",
+    coupling: str | Coupling | Auto = Auto.name,
     options: Mapping[str, object] | None = None,
     record: Sequence[str] | None = None,
     output: Output | Sequence[Output] | None = None,
@@ -164,7 +164,7 @@ def perform(
     InvalidInput
         As in `simulate`.
     """
-    if isinstance(experiment.chosen_coupling, Auto):
+    if isinstance(experiment.given_coupling, Auto):
         choice = chosen(system, experiment, pool)
         return choice.added_to(
             perform(

@@ -280,8 +280,8 @@ class Session:
             duration = f"{seconds:.0f} s" if seconds < 120.0 else f"{seconds / 60.0:.3g} min"
             NOTICE.line = (
                 f"at t = {self._time:.6g} of {self.stop:.6g} s the steps are {length:.2g} s long: "
-                f"the rest takes {left:.1g} steps and about {duration}; a larger tolerance makes "
-                "them longer, max_steps or --timeout ends the run"
+                f"if they stay so, the rest takes {left:.1g} steps and about {duration}; a larger "
+                "tolerance makes them longer, max_steps or --timeout ends the run"
             )
             self._next_look = math.inf
 

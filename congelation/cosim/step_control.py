@@ -168,7 +168,11 @@ DECIDED = 0.1
 """Error, in tolerances, from which on it was the prediction that decided the length of a step."""
 
 LAG = 2.5
-"""What the steps that inputs lag behind in may leave behind, in means of the decided ones."""
+"""The largest lag of a step, in means of those of the decided ones."""
+
+REMEMBERED = 20.0
+"""For so many times as long as there were decided steps, their lag bounds that of all steps; from
+then on, steps may grow with the time since: a short blow at the start must not rule a long run."""
 
 
 @dataclass(frozen=True)
@@ -196,8 +200,8 @@ class Pace:
     ----------
     sizes : array, shape (L,)
         The largest that each link has been so far.
-    begun : float
-        When the first decided step began, in seconds.
+    begun, last : float
+        When the first decided step began, and the last one ended, in seconds.
     steps, decided : int
         Steps since then, and those of them whose length the prediction decided.
     lags : float
@@ -206,6 +210,7 @@ class Pace:
 
     sizes: Floats
     begun: float = 0.0
+    last: float = 0.0
     steps: int = 0
     decided: int = 0
     lags: float = 0.0
@@ -227,22 +232,22 @@ class Pace:
         weight = (length * self.steps / (time - self.begun)) ** EVENNESS
         weight = min(max(weight, 1.0 / MOST_UNEVEN), MOST_UNEVEN)
         # A lag falls with the third power.
-        allowed = LAG * self.lags / self.decided
+        forgotten = (time - self.last) / (REMEMBERED * (self.last - self.begun))
+        allowed = LAG * self.lags / self.decided * max(1.0, forgotten) ** 3
         return max(error * weight, (lag / allowed) ** (order / 3.0) if allowed > 0.0 else 0.0)
 
-    def followed(self, error: float, lag: float, time: float, values: Floats) -> Pace:
+    def followed(
+        self, error: float, lag: float, time: float, length: float, values: Floats
+    ) -> Pace:
         """After a step from `time` of that error as it was predicted, to the links' values."""
-        sizes = np.maximum(self.sizes, np.abs(values))
-        if self.decided == 0 and error < DECIDED:
-            return replace(self, sizes=sizes)
+        pace = replace(self, sizes=np.maximum(self.sizes, np.abs(values)))
         decides = DECIDED <= error <= 1.0
-        return Pace(
-            sizes,
-            self.begun if self.steps else time,
-            self.steps + 1,
-            self.decided + decides,
-            self.lags + lag * decides,
-        )
+        if not (decides or self.decided):
+            return pace
+        pace = replace(pace, begun=self.begun if self.decided else time, steps=self.steps + 1)
+        if not decides:
+            return pace
+        return replace(pace, last=time + length, decided=self.decided + 1, lags=self.lags + lag)
 
 
 SAFETY = 0.9

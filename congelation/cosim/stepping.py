@@ -232,7 +232,7 @@ def run_adaptive(
             if stepper.halves:
                 halving = halving.accepted(ensemble.Y[ensemble.source])
             if stepper.predicts:
-                pace = pace.followed(predicted, lag, time, ensemble.Y[ensemble.source])
+                pace = pace.followed(predicted, lag, time, end - time, ensemble.Y[ensemble.source])
             time = end
             if time < target or math.isinf(event):
                 session.record(time)

@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from congelation.cosim.again import Again, Ahead, At, divided
 from congelation.cosim.choice import Lack, chosen
-from congelation.cosim.coupling import Auto, Derivative, ModelExchange
+from congelation.cosim.coupling import Auto, Derivative, Hermite, ModelExchange
 from congelation.cosim.experiment import Experiment, slave_tolerance
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
@@ -47,7 +47,7 @@ the peak, it is the error but for this factor."""
 
 STARTING = 4
 """Intervals after the start in which extrapolation by derivatives that come from history is of
-order 1. (`hermite` makes ends agree, so it has its order from the start.)"""
+order 1. (`hermite` makes ends agree by iterations, so it has its order from the start.)"""
 
 JITTER = 2.0
 """What a band is wider where something switches: delays of up to a step add up at random."""
@@ -199,12 +199,12 @@ def trusted(
     if mode is not True and mode not in TRUST:
         raise InvalidInput(f"trust = {mode!r} is not valid; give true, {' or '.join(TRUST)}")
     given = output if output is not None else experiment.output or Output()
-    if isinstance(experiment.chosen_coupling, ModelExchange):
+    if isinstance(experiment.given_coupling, ModelExchange):
         raise InvalidInput(
             f"error bars repeat a run with its communication steps halved, of which the coupling "
             f"'{ModelExchange.name}' has none; compare it with a run to a tenth of the tolerance"
         )
-    if isinstance(experiment.chosen_coupling, Auto):
+    if isinstance(experiment.given_coupling, Auto):
         # Once, so that all runs have the same one.
         choice = chosen(system, experiment, pool)
         return choice.added_to(
@@ -316,7 +316,10 @@ def _judged(
         difference = np.maximum(difference, _by_late_switches(again, switched) / 2.0)
     floor = max(FLOOR, SLAVE_FLOOR * (slave_tolerance(again.experiment) or 0.0)) * peaks
     powers = np.full(difference.shape, np.maximum(order, LEAST_ORDER))
-    if isinstance(again.experiment.chosen_coupling, Derivative):
+    coupling = again.experiment.chosen_coupling
+    if isinstance(coupling, Derivative) or (
+        isinstance(coupling, Hermite) and coupling.iterations == 1
+    ):
         begun = time <= again.points[: STARTING + 1][-1]
         powers[begun] = np.minimum(powers[begun], 1.0)
     found = bands(time, difference, powers, peaks) * (JITTER if switches else 1.0)

@@ -180,4 +180,5 @@ def known_theta(
         if reasons:
             unsure[j] = " and ".join(reasons)
     low, high = zip(*bounds, strict=True) if bounds else ((), ())
-    return KnownTheta(tuple(low), tuple(high), frozenset(absent).difference(driven), unsure)
+    missing = frozenset(absent).difference(driven)
+    return KnownTheta(tuple(low), tuple(high), missing, unsure, frozenset(driven))

@@ -20,7 +20,9 @@ __all__ = [
     "ScalarVariable",
     "Start",
     "StateVariable",
+    "delays",
     "interface_of",
+    "native_parameters",
     "profiled_names",
     "start_names",
     "state_variables",
@@ -51,6 +53,32 @@ class ScalarVariable:
     unit: str = ""
     depends: frozenset[str] = frozenset()
     open: bool = False
+
+
+# A parameter of native FMUs with profiles, behind all other variables. Python FMUs have it not, as
+# pythonfmu cannot tell the last successful time.
+_LEAVE_AT_JUMPS = ScalarVariable(
+    "leave_at_jumps",
+    "Boolean",
+    "parameter",
+    "fixed",
+    "exact",
+    False,
+    "Whether fmi2DoStep ends at a jump inside the step: it returns fmi2Discard, and "
+    "fmi2LastSuccessfulTime is the time of the jump",
+)
+
+
+# Another one, of a delay; what the Python FMU can hold is not set.
+_CAPACITY = ScalarVariable(
+    "capacity",
+    "Integer",
+    "parameter",
+    "fixed",
+    "exact",
+    100_000,
+    "How many steps are remembered at most",
+)
 
 
 @dataclass(frozen=True)
@@ -160,6 +188,17 @@ class StateVariable:
     derivative_reference: int
     derivative: ScalarVariable
     start: str
+
+
+def native_parameters(model: Model, interface: Interface) -> tuple[ScalarVariable, ...]:
+    """What native FMUs have besides, behind all other variables."""
+    leaving = (_LEAVE_AT_JUMPS,) if interface.next_event else ()
+    return (*leaving, _CAPACITY) if delays(model) else leaving
+
+
+def delays(model: Model) -> bool:
+    """Whether a model remembers its inputs."""
+    return model.signals is not None and not model.signals.profiled
 
 
 def state_variables(

@@ -11,9 +11,16 @@ import uuid
 from collections.abc import Iterable
 from xml.etree import ElementTree
 
-from congelation.export.interface import Interface, ScalarVariable, StateVariable
+from congelation.export.interface import (
+    Interface,
+    ScalarVariable,
+    StateVariable,
+    delays,
+    native_parameters,
+)
 from congelation.fmi.description import ANNOTATION
 from congelation.fmi.units import base_unit
+from congelation.theory.model import Model
 
 __all__ = ["add_model_exchange", "complete"]
 
@@ -95,14 +102,23 @@ def _complete_variables(parent: ElementTree.Element, variables: Iterable[ScalarV
 
 
 def add_model_exchange(
-    root: ElementTree.Element, interface: Interface, states: tuple[StateVariable, ...]
+    root: ElementTree.Element,
+    model: Model,
+    interface: Interface,
+    states: tuple[StateVariable, ...],
 ) -> None:
-    """Describe an FMU of co-simulation as one of model exchange, too.
+    """Describe an FMU of co-simulation as a native one: for model exchange, too, and with its own
+    parameters.
+
+    A delay stays one for co-simulation: model exchange does not say what an input is between two
+    times.
 
     Parameters
     ----------
     root : Element
         Of a modelDescription.xml that `complete` made; it is changed.
+    model : Model
+        What it is of.
     interface : Interface
         The variables in it.
     states : tuple of StateVariable
@@ -114,12 +130,14 @@ def add_model_exchange(
     # The functions of the C library are used, not those that the importer offers.
     common = {"canNotUseMemoryManagementFunctions": "true", "providesDirectionalDerivative": "true"}
     co_simulation.attrib.update(common)
-    root.insert(
-        list(root).index(co_simulation),
-        ElementTree.Element(
-            "ModelExchange", {**attributes, **common, "completedIntegratorStepNotNeeded": "true"}
-        ),
-    )
+    if not delays(model):
+        root.insert(
+            list(root).index(co_simulation),
+            ElementTree.Element(
+                "ModelExchange",
+                {**attributes, **common, "completedIntegratorStepNotNeeded": "true"},
+            ),
+        )
     root.set("numberOfEventIndicators", "0")
     # New variables, and units that only these have.
     parent = _child(root, "ModelVariables")
@@ -144,6 +162,18 @@ def add_model_exchange(
         _child(parent[state.derivative_reference], "Real").set(
             "derivative", str(state.reference + 1)
         )
+    for v in native_parameters(model, interface):
+        attributes = {
+            "name": v.name,
+            "valueReference": str(len(variables)),
+            "description": v.description,
+            "causality": v.causality,
+            "variability": v.variability,
+            "initial": str(v.initial),
+        }
+        element = ElementTree.SubElement(parent, "ScalarVariable", attributes)
+        ElementTree.SubElement(element, v.type, {"start": str(v.start).lower()})
+        variables.append(v)
     root[list(root).index(_child(root, "UnitDefinitions"))] = _units(variables)
     _replace_structure(_child(root, "ModelStructure"), tuple(variables), states)
 

@@ -10,13 +10,12 @@ from __future__ import annotations
 
 import hashlib
 import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
 import fmpy
 
-from congelation.errors import InvalidInput
 from congelation.export.archive import write_archive
 from congelation.export.equations import (
     Special,
@@ -24,7 +23,13 @@ from congelation.export.equations import (
     equation_blocks,
     tangents_block,
 )
-from congelation.export.interface import Interface, StateVariable, state_variables
+from congelation.export.interface import (
+    Interface,
+    StateVariable,
+    delays,
+    native_parameters,
+    state_variables,
+)
 from congelation.export.model_description import add_model_exchange
 from congelation.export.platforms import Platform, library
 from congelation.export.spec import FmuSpec
@@ -68,12 +73,9 @@ def native_fmu(
 
     Raises
     ------
-    InvalidInput
-        The FMU has no native twin: it delays signals, or its profile is a table.
     CongelationError
         The compiler that is needed is not here, or it failed.
     """
-    _check(fmu)
     about = staged.about.read_bytes()
     headers = Path(fmpy.__file__).parent / "c-code"
     layer = {
@@ -94,7 +96,7 @@ def native_fmu(
     model = (body + "\n".join(identity) + "\n").encode("utf-8")
     code = {**layer, _MODEL: model}
     files = [name for name in sorted(code) if name.endswith(".c")]
-    xml, identifier = _description(description, guid, files, staged.interface, states)
+    xml, identifier = _description(description, guid, files, fmu.model, staged.interface, states)
     entries = {
         "documentation/index.html": (staged.documentation / "index.html").read_bytes(),
         "documentation/licenses/license.txt": (sources / "native" / "licenses.txt").read_bytes(),
@@ -107,20 +109,6 @@ def native_fmu(
         **{f"sources/{name}": data for name, data in code.items()},
     }
     write_archive(target, [("modelDescription.xml", xml), *sorted(entries.items())])
-
-
-def _check(fmu: FmuSpec) -> None:
-    if fmu.run_time not in ("block", "driven"):
-        raise InvalidInput(
-            f"{fmu.name}: a {fmu.run_time} has no native FMU, as its memory grows while it steps; "
-            "build it without --native"
-        )
-    for j, profile in enumerate(fmu.profiles, start=1):
-        if profile.profile.to_flat(profile.slots).get("table.file", ""):
-            raise InvalidInput(
-                f"{fmu.name}: profile[{j}] is a table, which native FMUs do not read; build it "
-                "without --native"
-            )
 
 
 # -- source ---------------------------------------------------------------------------------------
@@ -171,6 +159,11 @@ def _tables(model: Model, interface: Interface, states: Sequence[StateVariable])
         for i, s in enumerate(states)
         if s.derivative_reference >= len(interface.variables)
     ]
+    own = {v.name: len(constants) + i for i, v in enumerate(native_parameters(model, interface))}
+    rows += [
+        f"{{\"{v.name}\", '{v.type[0]}', CONSTANT, {own[v.name]}, {float(v.start or 0)!r}}}"
+        for v in native_parameters(model, interface)
+    ]
     parameters = [
         f'{{"{p.variables.name}", {p.domain.name}, {references[0]}, {len(references)}, '
         f"{p.variables.shape[1]}}}"
@@ -185,6 +178,7 @@ def _tables(model: Model, interface: Interface, states: Sequence[StateVariable])
     slots = [
         f'{{"{name}", {place[fields["mean"]]}, '
         + ", ".join(f"{n}, {first}" for n, first in _terms(fields, place))
+        + _table(fields, place, interface)
         + "}"
         for name, fields in interface.profiles.items()
     ]
@@ -193,7 +187,9 @@ def _tables(model: Model, interface: Interface, states: Sequence[StateVariable])
         f"const int VARIABLE_COUNT = {len(rows)}, STATES = {len(states)}, INPUTS = {inputs};",
         f"const int OUTPUTS = {len(interface.outputs)}, DERIVATIVES = {len(differentiated)};",
         f"const int GAINS = {len(interface.gains)}, PROFILES = {len(slots)};",
-        f"const int CONSTANTS = {len(constants)}, PARAMETERS = {len(parameters)};",
+        f"const int CONSTANTS = {len(constants) + len(own)}, PARAMETERS = {len(parameters)};",
+        f"const int LEAVE_AT_JUMPS = {own.get('leave_at_jumps', -1)};",
+        _delayed(model, interface, place, own),
         f"const bool TIMED = {'true' if model.signals is not None else 'false'};",
         *_array("struct variable VARIABLES", rows),
         *_array("struct parameter MODEL_PARAMETERS", parameters or ['{"", REAL, 0, 0, 1}']),
@@ -208,13 +204,46 @@ def _array(declaration: str, rows: Iterable[str]) -> list[str]:
     return [f"const {declaration}[] = {{", *(f"    {row}," for row in rows), "};"]
 
 
-def _terms(fields: dict[str, int] | object, place: dict[int, int]) -> Iterable[tuple[int, int]]:
+def _terms(fields: Mapping[str, int], place: Mapping[int, int]) -> Iterable[tuple[int, int]]:
     """The number of terms of each kind, and the constant of the first one's first field."""
-    assert isinstance(fields, dict)
     for kind in SLOTTED:
         own = [vr for name, vr in fields.items() if name.startswith(f"{kind}[")]
         count = len({name.split("]")[0] for name in fields if name.startswith(f"{kind}[")})
         yield count, place[min(own)] if own else 0
+
+
+def _delayed(
+    model: Model, interface: Interface, place: Mapping[int, int], own: Mapping[str, int]
+) -> str:
+    """How many inputs are delayed, and the constants for it."""
+    if not delays(model):
+        return "const int DELAYED = 0, DELAY = -1, BEFORE = -1, CAPACITY = -1;"
+    (delay,), before = interface.parameters["delay"], interface.parameters["before"]
+    return (
+        f"const int DELAYED = {len(before)}, DELAY = {place[delay]}, "
+        f"BEFORE = {place[before[0]]}, CAPACITY = {own['capacity']};"
+    )
+
+
+def _table(fields: Mapping[str, int], place: Mapping[int, int], interface: Interface) -> str:
+    """The constants of a table's file and kind, and the file that it starts with."""
+    if "table.file" not in fields:
+        return ', -1, -1, ""'
+    file, linear = fields["table.file"], fields["table.linear"]
+    return f", {place[file]}, {place[linear]}, {_c_string(str(interface.variables[file].start))}"
+
+
+def _c_string(text: str) -> str:
+    """A string literal of the bytes of `text` in UTF-8."""
+    plain = b" !#$%&'()*+,-./:;<=>@[]^_`{|}~"
+    return (
+        '"'
+        + "".join(
+            chr(b) if (chr(b).isalnum() and b < 128) or b in plain else f"\\{b:03o}"
+            for b in text.encode("utf-8")
+        )
+        + '"'
+    )
 
 
 def _gains(model: Model) -> list[str]:
@@ -357,6 +386,7 @@ def _description(
     xml: bytes,
     guid: str,
     files: Sequence[str],
+    model: Model,
     interface: Interface,
     states: tuple[StateVariable, ...],
 ) -> tuple[bytes, str]:
@@ -365,7 +395,7 @@ def _description(
     root = ElementTree.fromstring(xml)
     root.set("guid", guid)
     root.set("generationTool", str(root.get("generationTool")).split(" with ")[0] + " (native)")
-    add_model_exchange(root, interface, states)
+    add_model_exchange(root, model, interface, states)
     identifier = ""
     for kind in (*root.iterfind("ModelExchange"), *root.iterfind("CoSimulation")):
         identifier = str(kind.get("modelIdentifier"))

@@ -259,18 +259,34 @@ def _units(model: fmpy.model_description.ModelDescription) -> dict[str, Unit]:
             continue
         exponents = tuple(int(getattr(base, symbol) or 0) for symbol in BASE)
         factor, offset = float(base.factor), float(base.offset)
+        if not _converts(factor, offset):  # no definition: what has this unit cannot be compared
+            found[unit.name] = Unit(unit.name)
+            continue
         found[unit.name] = Unit(unit.name, exponents, factor, offset)
         for shown in unit.displayUnits:
+            if not _converts(float(shown.factor), float(shown.offset)):
+                continue
             scale = factor / float(shown.factor)
             shift = offset - scale * float(shown.offset)
             found.setdefault(shown.name, Unit(shown.name, exponents, scale, shift))
     return found
 
 
+def _converts(factor: float, offset: float) -> bool:
+    """Whether values can be converted both ways."""
+    return factor != 0.0 and math.isfinite(factor) and math.isfinite(offset)
+
+
 def _open_inputs(root: etree._Element) -> frozenset[str]:
     """The names in ``VendorAnnotations/Tool[@name='congelation']/OpenInputs/Input``."""
     found = root.findall(f"VendorAnnotations/Tool[@name='{ANNOTATION}']/OpenInputs/Input")
     return frozenset(element.get("name", "") for element in found)
+
+
+def _nominal(stated: str | None) -> float:
+    """The size that errors of a variable are measured by: 1 where what is stated is none."""
+    size = abs(float(stated or 1.0))
+    return size if math.isfinite(size) and size > 0.0 else 1.0
 
 
 def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
@@ -281,7 +297,7 @@ def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
         causality=variable.causality,
         variability=variable.variability,
         initial=variable.initial,
-        nominal=abs(float(variable.nominal or 1.0)) or 1.0,
+        nominal=_nominal(variable.nominal),
         unit=variable.unit or (getattr(variable.declaredType, "unit", None) or ""),
         relative=bool(
             getattr(variable.declaredType, "relativeQuantity", False)

@@ -15,7 +15,7 @@ from congelation.errors import InvalidInput
 from congelation.places import replace_whole
 from congelation.report.html import draw_overlaid
 from congelation.report.page import Drawn, lines_of, opening, page, table
-from congelation.report.summary import label_of, number
+from congelation.report.summary import label_of, number, short
 from congelation.report.verdict import axes_of, listed, settled
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
@@ -264,7 +264,9 @@ def percent(change: float) -> str:
         return "equal"
     if not math.isfinite(change):
         return "–"
-    return f"{100.0 * change:+.2g} %" if abs(change) < 10.0 else f"{change:+.2g} times"
+    if abs(change) >= 10.0:
+        return f"{change:+.2g} times"
+    return f"{'+' if change > 0 else ''}{short(100.0 * change, 2)} %"
 
 
 def changes_by_variant(comparison: Comparison) -> Iterator[tuple[str, list[str]]]:
@@ -312,7 +314,10 @@ def changes_by_run(comparison: Comparison) -> Iterator[tuple[str, list[str]]]:
         quantities.append(("macro steps", pair.before.steps, pair.after.steps))
         for label, a, b in quantities:
             known = a is not None and b is not None and math.isfinite(a) and math.isfinite(b)
-            difference = (f"{b - a:+.3g}" if b != a else "0") if known else "–"  # type: ignore[operator]
+            difference = "–"
+            if known:
+                change = b - a  # type: ignore[operator]
+                difference = f"{'+' if change > 0 else ''}{short(change, 3)}"
             cells = [number(a), number(b), difference, percent(relative_change(a, b))]
             yield f"{pair.label}: {label}", cells
 

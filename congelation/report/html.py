@@ -15,7 +15,7 @@ from congelation.report.diagram import diagram
 from congelation.report.page import Drawn, lines_of, opening, page, pairs, swatch, table, tile
 from congelation.report.study import study_content
 from congelation.report.summary import metric_definitions, summarise
-from congelation.report.verdict import run_verdict, study_verdict, tiles
+from congelation.report.verdict import run_verdict, settling_rule, study_verdict, tiles
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 
@@ -123,6 +123,8 @@ def _study_page(results: Results, study: Study) -> str:
 def _head(study: Study, verdict: Iterator[str]) -> Iterator[str]:
     """Title, verdict and failures: what a reader sees first."""
     yield from opening(study.about["title"], verdict)
+    if rule := settling_rule(study):
+        yield f'<p class="note">{escape(rule)}</p>'
     for run in study.records[: 0 if study.about["swept"] else None]:
         if run.failed:
             yield f'<p class="failed">{escape(run.variant)}: {escape(run.message)}</p>'

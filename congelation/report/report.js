@@ -7,7 +7,10 @@ window.congelation = (() => {
   let bokeh = null;
 
   const model = (name) => bokeh.get_model_by_name(name);
-  const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+  let paper = false;  // whether the page is about to be printed
+  const light = [...document.styleSheets[0].cssRules].find((r) => r.selectorText === ":root").style;
+  const css = (name) => (paper ? light : getComputedStyle(document.documentElement))
+    .getPropertyValue(name).trim();
   const shared = {"-1": "--every", "-2": "--picked"};
   const colour = (variant) => css(shared[variant] ?? `--v${variant % 8}`);
   const each = (selector, act) => document.querySelectorAll(selector).forEach(act);
@@ -98,7 +101,7 @@ window.congelation = (() => {
     const text = css("--text"), line = css("--line"), ground = css("--ground");
     for (const found of bokeh._all_models.values()) {
       if (found.type === "Figure") found.setv({background_fill_color: ground,
-        border_fill_color: ground, outline_line_color: line});
+        border_fill_color: ground, border_line_color: ground, outline_line_color: line});
       else if (found.type.endsWith("Axis")) found.setv({axis_label_text_color: text,
         major_label_text_color: text, axis_line_color: line, major_tick_line_color: line,
         minor_tick_line_color: null});
@@ -110,6 +113,15 @@ window.congelation = (() => {
         const variant = variantOf(found);
         if (variant !== null) recolour(found, variant);
       }
+    }
+  }
+  function print(on) {  // at once: a browser does not wait for the next frame
+    paper = on;
+    paint();
+    if (window.congelation.study) window.congelation.study.refresh();
+    for (const view of Object.values(Bokeh.index)) {
+      for (const part of view.renderer_views?.values() ?? []) part.set_visuals?.();
+      view.paint?.();
     }
   }
   function variantOf(renderer) {  // the tag "variant 0"; -1: of all, -2: of the run that is picked
@@ -185,7 +197,8 @@ window.congelation = (() => {
       paint();
       if (window.congelation.study) window.congelation.study.refresh();
     });
-    window.addEventListener("beforeprint", paint);
+    window.addEventListener("beforeprint", () => print(true));
+    window.addEventListener("afterprint", () => print(false));
     // A finger that drags over a plot scrolls the page; the tools zoom when they are chosen.
     if (matchMedia("(pointer: coarse)").matches)
       for (const m of bokeh._all_models.values())

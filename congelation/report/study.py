@@ -204,6 +204,8 @@ def _counts(
     """A table for each axis with few values: how many runs settle at each of them, by variant."""
     timed = any(m["metric"] == "settling_time" for m in study.about["metrics"].values())
     done = "settle" if timed else "reach their stop time"
+    if all(settled(study, run) for run in study.records):
+        return  # the verdict says so
     names = _axis_labels(study, axes)
     yield '<div class="counts">'
     for name, values in axes.items():

@@ -19,6 +19,7 @@ __all__ = [
     "prices",
     "run_verdict",
     "settled",
+    "settling_rule",
     "short_names",
     "study_verdict",
     "tiles",
@@ -225,6 +226,8 @@ def study_verdict(study: Study) -> Iterator[str]:
         if len(good) in (0, len(runs)):
             count = f"all {len(runs)} runs" if len(runs) > 1 else "its only run"
             said = count if good else f"none of {len(runs)} runs"
+            if good and len(variants) <= LISTED:
+                said += _times(study, runs)
         else:
             limits = []
             for name, values in axes.items():
@@ -236,9 +239,30 @@ def study_verdict(study: Study) -> Iterator[str]:
             said += f": {listed(limits)}" if limits else ""
         same.setdefault(said, []).append(variant)
     for said, names in same.items():
-        each = said.replace("its", "their") if len(names) > 1 else said
+        each = said.replace("its only run", "their only runs") if len(names) > 1 else said
         yield f"{listed(names)} {one if len(names) == 1 else several}{end} in {each}."
     yield from _price_of_study(study, variants)
+
+
+def _times(study: Study, runs: Sequence[RunRecord]) -> str:
+    """After what time runs settle that all do; empty where that was not measured."""
+    name = _named(study, "settling_time")
+    if not name:
+        return ""
+    times = sorted(run.metrics[name] or 0.0 for run in runs)
+    low, middle, high = (number(v) for v in (times[0], median(times), times[-1]))
+    return f", after {middle} s" + (f" (median; {low} to {high} s)" if low != high else "")
+
+
+def settling_rule(study: Study) -> str:
+    """What it means here that a run settles; empty where that was not measured."""
+    name = _named(study, "settling_time")
+    if not name:
+        return ""
+    about = study.about["metrics"][name]
+    below = about.get("options", {}).get("below")
+    limit = f"below {below:g}" if below is not None else "small"
+    return f"A run settles when |{about['of']}| stays {limit} until the stop time."
 
 
 def _limit(
@@ -263,6 +287,10 @@ def _limit(
             continue
         on = " on" if where.startswith("from") else ""
         said.append(f"in {word} {where} = {number(values[last])}{unit}{on}")
+        other = -1 if held[0] else 0  # at the other end not all may settle either
+        if word == "none" and 0.0 < share[other] < 1.0:
+            there = [settled(study, r) for r in runs if r.settings.get(name) == values[other]]
+            said.append(f"in {sum(there)} of {len(there)} at {number(values[other])}{unit}")
     return " and ".join(said)
 
 
@@ -302,7 +330,7 @@ def _price_of_study(study: Study, variants: Mapping[str, Sequence[RunRecord]]) -
             found.setdefault((middle, low, high), []).append(other)
     if not found:
         return
-    pays = "pays with" if any(float(middle) > 1.0 for middle, _, _ in found) else "has"
+    pays = "pays with" if any(float(middle) > 1.0 for middle, _, _ in found) else "needs only"
     if sum(len(compared) for compared in found.values()) > LISTED:
         (least, last), (most, top) = (
             (middle, compared[0])

@@ -20,8 +20,8 @@ from congelation.toml import Section
 __all__ = ["read_sweep"]
 
 
-def read_sweep(section: Section, reader: SettingsReader, variants: Sequence[str]) -> Sweep:
-    """The sweep that a table describes, of a scenario with some variants.
+def read_sweep(section: Section, reader: SettingsReader, variants: Mapping[str, Settings]) -> Sweep:
+    """The sweep that a table describes, of a scenario with some variants and what they set.
 
     Raises
     ------
@@ -35,7 +35,7 @@ def read_sweep(section: Section, reader: SettingsReader, variants: Sequence[str]
     spelled: dict[str, str] = {}
     for axis in read["axes"]:
         found = _axis(axis, reader)
-        only = _variants(axis, variants)
+        only = _variants(axis, list(variants))
         names = [found.name] if isinstance(found, RandomAxis) else list(found[0])
         place = axis.spelled(axis.path)
         for name in names:
@@ -43,6 +43,12 @@ def read_sweep(section: Section, reader: SettingsReader, variants: Sequence[str]
                 other = taken.setdefault(name, {}).setdefault(variant, place)
                 if other != place:
                     raise axis.error("set", f"sets '{name}', which {other} sets already")
+                if name in variants[variant]:
+                    raise axis.error(
+                        "set",
+                        f"sets '{name}', which the variant '{variant}' sets already; leave it out "
+                        "there, or name the variants that the axis is of: variants = [..]",
+                    )
         given = axis.value(keys.AXIS["set"])
         if len(given) == len(names):
             spelled |= dict(zip(given, names, strict=True))
@@ -187,7 +193,8 @@ def _spaced(section: Section, kind: str, numbers: tuple[float, ...]) -> list[flo
         len(numbers) == 3 and numbers[2] == int(numbers[2]) and 2 <= numbers[2] <= keys.MOST_RUNS
     )
     if not valid or numbers[0] == numbers[1]:
-        raise section.wrong(kind, "[first, last, count] with two ends and a count of at least 2")
+        counts = f"a count from 2 to {keys.MOST_RUNS}"
+        raise section.wrong(kind, f"[first, last, count] with two ends and {counts}")
     first, last, count = numbers[0], numbers[1], int(numbers[2])
     if kind == "logspace":
         if not (first > 0.0 and last > 0.0):

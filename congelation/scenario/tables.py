@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -63,11 +64,11 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
     _check_figures(top["figures"], figures, experiment, variants)
     sweep = None
     if "sweep" in document.data:
-        sweep = read_sweep(top["sweep"], reader, [variant.name for variant in variants])
+        sweep = read_sweep(top["sweep"], reader, {v.name: v.settings for v in variants})
     given = {f"{c.name}.{name}" for c in components for name in c.start}
     given |= {name for variant in variants for name in variant.settings}
     given |= set(sweep.names()) if sweep is not None else set()
-    left_open = document.attempt("open", partial(_open, resolved, top["open"]))
+    left_open = document.attempt("open", partial(_open, resolved, reader.driven, top["open"]))
     return {
         "title": top["title"],
         "system": system,
@@ -80,9 +81,32 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
         "measured": measured,
         "warnings": (
             *_doubtful(resolved, document.file),
+            *_past_the_end(metrics, experiment, given, document.file),
             *_forgotten(resolved, {*given, *left_open, *reader.driven}, document.file),
         ),
     }
+
+
+def _past_the_end(
+    metrics: Sequence[MetricSpec], experiment: Experiment, given: Collection[str], file: str
+) -> Iterator[str]:
+    """A line for a step that is longer than every run, and for each metric of later times."""
+    if f"{EXPERIMENT}.stop_time" in given:
+        return
+    horizon, step = experiment.stop_time - experiment.start_time, experiment.step
+    fixed = experiment.tolerance is None and f"{EXPERIMENT}.step" not in given
+    if fixed and step is not None and step > horizon:
+        yield (
+            f"{file}: {EXPERIMENT}.step = {step:g} is longer than the run, {horizon:g} s, which is "
+            "one step"
+        )
+    for found in metrics:
+        after = found.options.get("after", -math.inf)
+        if after > experiment.stop_time:
+            yield (
+                f"{file}: metrics.{found.name}.after = {after:g} is past stop_time = "
+                f"{experiment.stop_time:g}: the metric has no value"
+            )
 
 
 def _component(section: Section, name: str) -> Component:
@@ -130,7 +154,7 @@ def _experiment(section: Section) -> Experiment:
         if isinstance(value, list):
             raise options.wrong(key, "one value")
     experiment = agreed(values, section.place)
-    periods = experiment.chosen_coupling.periods
+    periods = experiment.periods
     for key, value in options.data.items():
         if isinstance(value, Mapping) and key not in periods:
             raise options.error(key, "is no time; give it without a unit")
@@ -161,7 +185,8 @@ def _figure(section: Section) -> FigureSpec:
         raise section.wrong("panels", "at least one variable")
     if span and (len(span) != 2 or span[0] >= span[1]):
         raise section.wrong("span", "[start, stop] in seconds")
-    return FigureSpec(name, panels, (span[0], span[1]) if span else None)
+    shown = (span[0], span[1]) if span else None
+    return FigureSpec(name, panels, shown, read["scale"], read["legend"])
 
 
 def _check_figures(
@@ -204,13 +229,15 @@ def _driven(resolved: ResolvedSystem) -> dict[str, str]:
     return found
 
 
-def _open(resolved: ResolvedSystem, names: Iterable[str]) -> set[str]:
+def _open(resolved: ResolvedSystem, driven: Mapping[str, str], names: Iterable[str]) -> set[str]:
     """The scalar inputs that names stand for."""
     found: set[str] = set()
     for name in names:
         for entry in resolved.recorded([name]):
             if entry.variable.causality != "input":
                 raise InvalidInput(f"'{name}' is of causality {entry.variable.causality}, no input")
+            if link := driven.get(entry.name):
+                raise InvalidInput(f"'{entry.name}' is driven by '{link}'; leave one of them out")
             found.add(entry.name)
     return found
 

@@ -17,7 +17,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
 
-from congelation.cosim.coupling import refuse_tolerance
+from congelation.cosim.coupling import Auto, refuse_tolerance
 from congelation.cosim.result import Status
 from congelation.errors import InvalidInput
 from congelation.fmi.description import describe
@@ -308,7 +308,8 @@ class _Check:
                 return
             # Only of a whole run: a variant may give the tolerance, and a point the coupling.
             try:
-                refuse_tolerance(experiment.chosen_coupling, experiment.tolerance)
+                if not isinstance(experiment.given_coupling, Auto):
+                    refuse_tolerance(experiment.chosen_coupling, experiment.tolerance)
             except InvalidInput as error:
                 raise InvalidInput(f"{scenario.place}: {EXPERIMENT}.tolerance: {error}") from error
         except InvalidInput as error:

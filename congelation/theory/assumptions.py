@@ -66,13 +66,17 @@ class KnownTheta:
     absent : frozenset of int
         Elements (from 0) that have no profile; their bounds are 0.
     unsure : mapping of int to str
-        Elements that the bounds may not be those of, and why: ``it is read from a table``.
+        Elements that may leave the bounds, or reach them at times that nobody knows, and why:
+        ``is read from a table``.
+    driven : frozenset of int
+        Those of them to which another component adds what it will: the bounds say nothing.
     """
 
     low: tuple[float, ...]
     high: tuple[float, ...]
     absent: frozenset[int] = frozenset()
     unsure: Mapping[int, str] = field(default_factory=dict)
+    driven: frozenset[int] = frozenset()
 
     @property
     def center(self) -> Vector:
@@ -209,7 +213,7 @@ def _numerator(
 ) -> Iterator[Remark]:
     """Assumptions 2 and 3: b constant, b_m s^m + .. + b_0 Hurwitz, its sign as stated."""
     b, m = theta.center[:first], first - 1
-    known = [j for j in range(first) if j not in theta.unsure]
+    known = [j for j in range(first) if j not in theta.driven]
     varying = [j for j in known if theta.radii[j] > CONSTANT_ROUNDING * abs(b[j])]
     for j in varying:
         yield Remark(
@@ -261,7 +265,7 @@ def _gain(
             f"give rho_hat0 = 0, or one of the sign {sign:+.0f}",
             broken=True,
         )
-    if p in theta.absent or p in theta.unsure:
+    if p in theta.absent or p in theta.driven:
         return
     low, high = theta.low[p], theta.high[p]
     if low <= 0 <= high:

@@ -49,12 +49,18 @@ struct profile_slots {
     int chirps, chirp;         /* amplitude, omega_start, omega_end, duration, phase */
     int telegraphs, telegraph; /* amplitude, rate, seed */
     int noises, noise;         /* deviation, sample_time, seed */
+    int file, linear;          /* of a table, -1 without room for one */
+    const char *start_file;
 };
 
 extern const char MODEL_GUID[];
 extern const unsigned char MODEL_KEY[32]; /* of serialised states */
 extern const int VARIABLE_COUNT, STATES, INPUTS, OUTPUTS, DERIVATIVES, GAINS, PROFILES;
 extern const int CONSTANTS, PARAMETERS;
+extern const int LEAVE_AT_JUMPS; /* a constant, or -1 */
+/* How many inputs are delayed, and the constants for it: the delay, the outputs before the first
+   inputs come out, and how many steps are remembered at most. */
+extern const int DELAYED, DELAY, BEFORE, CAPACITY;
 extern const bool TIMED; /* the equations take time behind signals, and the slopes of signals */
 extern const struct variable VARIABLES[];
 extern const struct parameter MODEL_PARAMETERS[];
@@ -117,38 +123,65 @@ struct term {
 
 typedef double sine[3]; /* amplitude, omega, phase */
 
+/* Values at given times, from a file: held from each time to the next, or joined by lines. */
+struct table {
+    int count;
+    bool linear;
+    double *times, *values;
+    double start, held, slope; /* of the piece last asked for */
+};
+
 /* A profile: what holds at all times, and terms with events. */
 struct profile {
-    double held;
+    double held, start;
+    struct table table;
     int sine_count, term_count;
     sine *sines;
     struct term *terms;
     struct piece *pieces;
 };
 
-/* All profiles on one smooth piece. */
+/* All profiles on one smooth piece, and their values at the time last asked for: a step begins at
+   the time at which the one before ended, and outputs are read there. */
 struct smooth {
     double start, end;
     bool known;
+    double at, *values; /* `at` is NaN without values */
 };
 
 bool profile_bind(struct profile *profile, const struct profile_slots *slots,
-                  const double *constants, struct reason *why);
+                  const double *constants, const char *file, struct reason *why);
 bool profile_segment(struct profile *profile, double t, double *start, double *end,
                      struct reason *why);
 double profile_value(const struct profile *profile, double t);
 double profile_derivative(const struct profile *profile, double t);
+
+/* table.c: the rows of a CSV file; none of a file called "". */
+bool table_read(struct table *table, const char *name, struct reason *why);
+void table_free(struct table *table);
+void table_piece(struct table *table, double t, double *start, double *end);
 
 /* -- an instance ------------------------------------------------------------------------------ */
 
 /* Of model exchange: EVENT and CONTINUOUS in place of STEPPING. */
 enum mode { INSTANTIATED, INITIALIZATION, STEPPING, EVENT, CONTINUOUS, TERMINATED };
 
-/* The complete state is one array of doubles: these, then x, the inputs and the constants. KIND is
+/* The complete state is one array of doubles: these, then x, the inputs and the constants; behind
+   them the names of files of tables, FILE_SIZE bytes for each profile; in a saved state also PIECES
+   pieces of the memory of a delay, oldest first. KIND is
    fmi2Type. EVENT_TIME is where model exchange last looked for the smooth piece of the profiles,
    which holds until it does so again: solvers evaluate at the very end of a piece, and behind it. */
 enum scalar {
-    MODE, TIME, HAS_STOP, STOP_TIME, TOLERANCE, INNER_STEP, SINCE, KIND, EVENT_TIME, SCALARS
+    MODE, TIME, HAS_STOP, STOP_TIME, TOLERANCE, INNER_STEP, SINCE, KIND, EVENT_TIME, PIECES, SCALARS
+};
+
+/* A piece of the memory of a delay: one step, whether the inputs jump at its start, their largest
+   value until then, and behind these the cubic of each input. */
+enum piece_field { START, LENGTH, JUMPS, LARGEST, CUBICS };
+/* Of which the memory is a ring. */
+struct ring {
+    double *pieces;
+    size_t capacity, first;
 };
 
 struct instance {
@@ -157,12 +190,14 @@ struct instance {
     bool logging, refused_tolerance;
     /* the state */
     double *state, *x, *inputs, *constants;
+    char *files;
     /* what follows from the constants */
     bool settled, is_bound;
     double *gains, *candidate_gains;
     void *bound;
     struct profile *profiles;
     struct smooth smooth;
+    struct ring ring;
     /* what follows from the state */
     bool outputs_known, derivatives_known, rates_known;
     double *outputs, *derivatives, *rates;
@@ -175,6 +210,26 @@ static inline size_t state_length(void)
 {
     return (size_t)SCALARS + (size_t)STATES + (size_t)(4 * INPUTS)
            + (TIMED ? 0u : (size_t)PROFILES) + (size_t)CONSTANTS;
+}
+
+enum { FILE_SIZE = 512 };
+
+/* What the equations take for theta: profiles or delayed inputs, and with TIMED time behind them. */
+static inline int signals(void) { return PROFILES + DELAYED; }
+static inline size_t piece_length(void) { return CUBICS + 4u * (size_t)DELAYED; }
+static inline size_t files_size(void) { return (size_t)PROFILES * FILE_SIZE; }
+static inline size_t state_size(void)
+{
+    return state_length() * sizeof(double) + files_size();
+}
+static inline size_t saved_size(const double *state)
+{
+    return state_size() + (size_t)state[PIECES] * piece_length() * sizeof(double);
+}
+static inline double *pieces_of(double *state) { return state + state_size() / sizeof(double); }
+static inline const char *files_of(const double *state)
+{
+    return (const char *)(state + state_length());
 }
 
 static inline enum mode mode_of(const struct instance *in) { return (enum mode)in->state[MODE]; }
@@ -201,14 +256,22 @@ bool computed_value(struct instance *instance, const struct variable *variable, 
 bool computed_rates(struct instance *instance);
 void forget_computed(struct instance *instance);
 
+/* delay.c: the memory of a delay, in place of states. */
+bool ring_open(struct instance *instance, struct reason *why);
+void ring_copy(const struct instance *instance, double *pieces);
+void ring_set(struct instance *instance, const double *pieces, size_t count);
+void delayed_values(struct instance *instance, bool slopes);
+double delayed_event(struct instance *instance);
+bool delayed_step(struct instance *instance, double t, double h, struct reason *why);
+
 /* integrator.c: x from t over h; false, with x and the inner step undone by the caller. */
 bool advance(struct instance *instance, double t, double h, struct reason *why);
 
 /* state.c: the complete state as bytes, the same on every machine */
-size_t serialized_size(void);
+size_t serialized_size(const double *state);
 void serialize(const double *state, unsigned char *bytes);
-/* NULL, or what is wrong with the bytes. */
-const char *deserialize(const unsigned char *bytes, size_t size, double *state);
+/* A new state; NULL, and what is wrong, otherwise. */
+double *deserialize(const unsigned char *bytes, size_t size, const char **fault);
 
 #if defined(__GNUC__) && !defined(_WIN32)
 #pragma GCC visibility pop

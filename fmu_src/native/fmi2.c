@@ -31,8 +31,10 @@ const char *fmi2GetVersion(void) { return fmi2Version; }
 static void set_defaults(struct instance *in)
 {
     double kind = in->state[KIND];
-    memset(in->state, 0, state_length() * sizeof(double));
+    memset(in->state, 0, state_size());
     in->state[KIND] = kind;
+    for (int j = 0; j < PROFILES; j++)
+        strncpy(in->files + j * FILE_SIZE, PROFILE_SLOTS[j].start_file, FILE_SIZE - 1);
     in->state[TOLERANCE] = DEFAULT_TOLERANCE;
     in->state[INNER_STEP] = FIRST_STEP;
     for (int vr = 0; vr < VARIABLE_COUNT; vr++)
@@ -59,8 +61,9 @@ static size_t share_out(struct instance *in, char *memory)
         if (memory) pointer = (type *)(void *)(memory + used);              \
         used += ((size_t)(count) * sizeof(type) + 15u) & ~(size_t)15u;      \
     } while (0)
-    TAKE(in->state, double, state_length());
+    TAKE(in->state, double, state_size() / sizeof(double)); /* FILE_SIZE is a multiple of it */
     if (memory) {
+        in->files = (char *)(in->state + state_length());
         in->x = in->state + SCALARS;
         in->inputs = in->x + STATES;
         in->constants = in->inputs + 4 * INPUTS + (TIMED ? 0 : PROFILES);
@@ -77,9 +80,10 @@ static size_t share_out(struct instance *in, char *memory)
     TAKE(in->old_x, double, STATES);
     TAKE(in->v, double, INPUTS);
     TAKE(in->slopes, double, INPUTS);
-    TAKE(in->theta, double, 2 * PROFILES + 1);
+    TAKE(in->theta, double, 2 * signals() + 1);
+    TAKE(in->smooth.values, double, PROFILES);
     TAKE(in->cubics, double, 4 * INPUTS);
-    TAKE(in->seeds, double, STATES + 2 * INPUTS + 2 * PROFILES + 1);
+    TAKE(in->seeds, double, STATES + 2 * INPUTS + 2 * signals() + 1);
     TAKE(in->tangents, double, STATES + OUTPUTS + DERIVATIVES);
     TAKE(in->profiles, struct profile, PROFILES);
     for (int j = 0; j < PROFILES; j++) {
@@ -116,6 +120,11 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
                guid ? guid : "missing", MODEL_GUID);
         return NULL;
     }
+    if (type == fmi2ModelExchange && DELAYED) {
+        unsupported(&asking, "fmi2Instantiate: a delay is for co-simulation alone, as model exchange "
+                             "does not say what an input is between two times");
+        return NULL;
+    }
     if (type != fmi2CoSimulation && type != fmi2ModelExchange) {
         unsupported(&asking, "fmi2Instantiate: the type is neither fmi2CoSimulation nor "
                              "fmi2ModelExchange");
@@ -143,6 +152,8 @@ void fmi2FreeInstance(fmi2Component c)
 {
     struct instance *in = c;
     if (!in) return;
+    for (int j = 0; j < PROFILES; j++) table_free(&in->profiles[j].table);
+    free(in->ring.pieces);
     free(in->name);
     free(in);
 }
@@ -280,13 +291,22 @@ fmi2Status fmi2GetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
     return fmi2OK;
 }
 
+/* The only strings are files of tables; the place of one. */
+static char *file_of(const struct instance *in, const struct variable *variable)
+{
+    int j = 0;
+    while (j + 1 < PROFILES && PROFILE_SLOTS[j].file != variable->index) j++;
+    return in->files + j * FILE_SIZE;
+}
+
 fmi2Status fmi2GetString(fmi2Component c, const fmi2ValueReference vr[], size_t count,
                          fmi2String value[])
 {
     struct instance *in = c;
     for (size_t i = 0; i < count; i++) {
-        if (!of_type(in, vr[i], 'S')) return fmi2Error;
-        value[i] = "";
+        const struct variable *variable = of_type(in, vr[i], 'S');
+        if (!variable) return fmi2Error;
+        value[i] = file_of(in, variable);
     }
     return fmi2OK;
 }
@@ -376,7 +396,6 @@ fmi2Status fmi2SetBoolean(fmi2Component c, const fmi2ValueReference vr[], size_t
     return fmi2OK;
 }
 
-/* The only strings are files of tables, which native FMUs do not read. */
 fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t count,
                          const fmi2String value[])
 {
@@ -384,13 +403,14 @@ fmi2Status fmi2SetString(fmi2Component c, const fmi2ValueReference vr[], size_t 
     for (size_t i = 0; i < count; i++) {
         const struct variable *variable = settable(in, vr[i], 'S');
         if (!variable) return fmi2Error;
-        if (value[i] && *value[i]) {
-            report(in, fmi2Error,
-                   "%s = '%s' is refused: a native FMU reads no tables; use the Python FMU, or "
-                   "the input dtheta",
-                   variable->name, value[i]);
+        if (!value[i] || strlen(value[i]) >= FILE_SIZE) {
+            report(in, fmi2Error, "%s is refused: it must be a string of at most %d bytes",
+                   variable->name, FILE_SIZE - 1);
             return fmi2Error;
         }
+        strcpy(memset(file_of(in, variable), 0, FILE_SIZE), value[i]);
+        in->settled = false;
+        forget_computed(in);
     }
     return fmi2OK;
 }
@@ -485,7 +505,7 @@ fmi2Status fmi2GetDirectionalDerivative(fmi2Component c, const fmi2ValueReferenc
     if (!in->settled && !settle(in)) return unsupported(in, in->parameter_fault.text);
     if (!values_now(in, true, &why)) return unsupported(in, why.text);
     double *x = in->seeds, *v = x + STATES, *d = v + INPUTS, *theta = d + INPUTS, none;
-    memset(x, 0, (size_t)(STATES + 2 * INPUTS + 2 * PROFILES + 1) * sizeof(double));
+    memset(x, 0, (size_t)(STATES + 2 * INPUTS + 2 * signals() + 1) * sizeof(double));
     for (size_t i = 0; i < knowns; i++) {
         double *place = seed_of(in, known[i], &none);
         if (!place) return fmi2Error;
@@ -545,21 +565,35 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_se
     double old_step = in->state[INNER_STEP];
     (void)no_set_state;
     if (mode_of(in) != STEPPING) return illegal(in, "fmi2DoStep");
+    if (!in->settled && !settle(in)) return unsupported(in, in->parameter_fault.text);
     if (!may_step(in, t, h, &why)) {
         report(in, fmi2Error, "the step from t = %.9g by %.9g is refused: %s", t, h, why.text);
         return fmi2Error;
     }
     memcpy(in->old_x, in->x, size);
+    /* A step that is left early ends at the first jump inside of it; that at its very end belongs to
+       the next one. What cannot be evaluated is told by the step itself. */
+    double jump = t + h;
+    bool leaves = LEAVE_AT_JUMPS >= 0 && in->constants[LEAVE_AT_JUMPS] != 0.0
+                  && values_now(in, false, &why);
+    double event = leaves && DELAYED ? delayed_event(in) : in->smooth.end;
+    leaves = leaves && t < event && event - t < h;
+    if (leaves) {
+        jump = event;
+        h = jump - t;
+    }
     if (!advance(in, t, h, &why)) {
         memcpy(in->x, in->old_x, size);
         in->state[INNER_STEP] = old_step;
         report(in, fmi2Discard, "the step from t = %.9g by %.9g is discarded: %s", t, h, why.text);
         return fmi2Discard;
     }
-    in->state[TIME] = t + h;
+    in->state[TIME] = jump;
     in->state[SINCE] = h;
     forget_computed(in);
-    return fmi2OK;
+    if (!leaves) return fmi2OK;
+    report(in, fmi2Discard, "the step from t = %.9g ended at the jump at t = %.9g", t, jump);
+    return fmi2Discard;
 }
 
 fmi2Status fmi2CancelStep(fmi2Component c)
@@ -607,32 +641,38 @@ fmi2Status fmi2GetStringStatus(fmi2Component c, const fmi2StatusKind kind, fmi2S
 fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
 {
     struct instance *in = c;
-    if (!*state) *state = malloc(state_length() * sizeof(double));
-    if (!*state) return unsupported(in, "fmi2GetFMUstate: there is no memory left");
     if (!in->settled) settle(in); /* so that x are the start values */
-    memcpy(*state, in->state, state_length() * sizeof(double));
+    /* A former state has its room but where a delay remembers more now. */
+    double *room = *state;
+    if (!room || saved_size(room) < saved_size(in->state)) room = realloc(room, saved_size(in->state));
+    if (!room) return unsupported(in, "fmi2GetFMUstate: there is no memory left");
+    *state = memcpy(room, in->state, state_size());
+    if (DELAYED) ring_copy(in, pieces_of(room));
     return fmi2OK;
 }
 
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
 {
     struct instance *in = c;
-    const double *given = state, *constants;
+    double *given = state;
+    const double *constants;
     if (!state) return unsupported(in, "fmi2SetFMUstate: the state is NULL");
     if (given[KIND] != in->state[KIND])
         return unsupported(in, "fmi2SetFMUstate: the state is one of the other kind, co-simulation "
                                "or model exchange");
     constants = given + (in->constants - in->state);
     bool same = in->settled
-                && memcmp(constants, in->constants, (size_t)CONSTANTS * sizeof(double)) == 0;
-    memcpy(in->state, given, state_length() * sizeof(double));
+                && memcmp(constants, in->constants, (size_t)CONSTANTS * sizeof(double)) == 0
+                && memcmp(files_of(given), in->files, files_size()) == 0;
+    memcpy(in->state, given, state_size());
     forget_computed(in);
     if (!same) {
         /* Binding sets x to the start values, so the state is copied once more. Parameters that
            were refused before are refused again when they are needed. */
         in->settled = false;
-        if (settle(in)) memcpy(in->state, given, state_length() * sizeof(double));
+        if (settle(in)) memcpy(in->state, given, state_size());
     }
+    if (DELAYED) ring_set(in, pieces_of(given), in->settled ? (size_t)given[PIECES] : 0);
     return fmi2OK;
 }
 
@@ -649,13 +689,13 @@ fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
 fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
 {
     if (!state) return unsupported(c, "fmi2SerializedFMUstateSize: the state is NULL");
-    *size = serialized_size();
+    *size = serialized_size(state);
     return fmi2OK;
 }
 
 fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[], size_t size)
 {
-    if (!state || size < serialized_size())
+    if (!state || size < serialized_size(state))
         return unsupported(c, "fmi2SerializeFMUstate: the state is NULL, or the size is less than "
                               "that of fmi2SerializedFMUstateSize");
     serialize(state, (unsigned char *)bytes);
@@ -666,12 +706,10 @@ fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size
                                    fmi2FMUstate *state)
 {
     struct instance *in = c;
-    double *read = malloc(state_length() * sizeof(double));
-    if (!read) return unsupported(in, "fmi2DeSerializeFMUstate: there is no memory left");
-    const char *fault = deserialize((const unsigned char *)bytes, size, read);
-    if (fault) {
-        free(read);
-        report(in, fmi2Error, "the state is refused: it is %s", fault);
+    const char *fault = NULL;
+    double *read = deserialize((const unsigned char *)bytes, size, &fault);
+    if (!read) {
+        report(in, fmi2Error, "the state is refused: %s", fault);
         return fmi2Error;
     }
     *state = read;

@@ -14,6 +14,9 @@
 #define SAFETY 0.9
 #define SMALLEST_CHANGE 0.2
 #define LARGEST_CHANGE 5.0
+/* An error so small asks for more than LARGEST_CHANGE, whatever it is: the power, which takes as long
+   as a stage, need not be known. */
+#define SMALL 1e-4
 #define MOST_STEPS 100000
 #define MOST_JUMPS 10000
 
@@ -31,13 +34,46 @@ static const double A[6][6] = {
 static const double E[] = {71.0 / 57600, 0, -71.0 / 16695, 71.0 / 1920, -17253.0 / 339200,
                            22.0 / 525, -1.0 / 40};
 
-/* sum_j weights_j k_j of component i, zero weights left out. */
-static double combination(const double *weights, int count, const double *k, int i)
+/* x + h sum_j a_j k_j for a stage, zero weights left out. Written out, as a loop over the weights
+   takes as long as the rates of a small model. */
+static void stage_point(int stage, const double *x, double h, const double *k, double *y)
 {
-    double total = weights[0] * k[i];
-    for (int j = 1; j < count; j++)
-        if (weights[j] != 0.0) total += weights[j] * k[j * STATES + i];
-    return total;
+    int n = STATES;
+    const double *k1 = k, *k2 = k1 + n, *k3 = k2 + n, *k4 = k3 + n, *k5 = k4 + n, *k6 = k5 + n;
+    const double *a = A[stage - 1];
+    switch (stage) {
+    case 1:
+        for (int i = 0; i < n; i++) y[i] = x[i] + h * (a[0] * k1[i]);
+        break;
+    case 2:
+        for (int i = 0; i < n; i++) y[i] = x[i] + h * (a[0] * k1[i] + a[1] * k2[i]);
+        break;
+    case 3:
+        for (int i = 0; i < n; i++)
+            y[i] = x[i] + h * (a[0] * k1[i] + a[1] * k2[i] + a[2] * k3[i]);
+        break;
+    case 4:
+        for (int i = 0; i < n; i++)
+            y[i] = x[i] + h * (a[0] * k1[i] + a[1] * k2[i] + a[2] * k3[i] + a[3] * k4[i]);
+        break;
+    case 5:
+        for (int i = 0; i < n; i++)
+            y[i] = x[i] + h * (a[0] * k1[i] + a[1] * k2[i] + a[2] * k3[i] + a[3] * k4[i]
+                               + a[4] * k5[i]);
+        break;
+    default:
+        for (int i = 0; i < n; i++)
+            y[i] = x[i] + h * (a[0] * k1[i] + a[2] * k3[i] + a[3] * k4[i] + a[4] * k5[i]
+                               + a[5] * k6[i]);
+    }
+}
+
+/* h sum_j e_j k_j of component i. */
+static double local_error(double h, const double *k, int i)
+{
+    int n = STATES;
+    return h * (E[0] * k[i] + E[2] * k[2 * n + i] + E[3] * k[3 * n + i] + E[4] * k[4 * n + i]
+                + E[5] * k[5 * n + i] + E[6] * k[6 * n + i]);
 }
 
 static void values_at(struct instance *in, double r)
@@ -62,12 +98,11 @@ static double step(struct instance *in, double t, double s, double h, double abs
             values_at(in, r);
             theta_values(in, t + r);
         }
-        for (int i = 0; i < STATES; i++)
-            target[i] = in->x[i] + h * combination(A[stage - 1], stage, k, i);
+        stage_point(stage, in->x, h, k, target);
         model_rates(in->bound, target, in->v, in->theta, k + stage * STATES);
     }
     for (int i = 0; i < STATES; i++) {
-        double error = fabs(h * combination(E, STAGES, k, i))
+        double error = fabs(local_error(h, k, i))
                        / (absolute + relative * greater(fabs(in->x[i]), fabs(in->y[i])));
         worst = i == 0 ? error : greater(worst, error);
     }
@@ -91,7 +126,7 @@ static bool integrate(struct instance *in, double t, double start, double end, s
         double total = 0.0;
         for (int i = 0; i < STATES; i++) total += in->y[i];
         if (error <= 1.0 && total - total == 0.0) {
-            double change = error > 0.0 ? SAFETY * pow(error, -1.0 / 5) : LARGEST_CHANGE;
+            double change = error > SMALL ? SAFETY * pow(error, -1.0 / 5) : LARGEST_CHANGE;
             double proposed = tried * lesser(LARGEST_CHANGE, greater(SMALLEST_CHANGE, change));
             memcpy(in->x, in->y, size);
             if (last) {
@@ -125,6 +160,7 @@ static bool integrate(struct instance *in, double t, double start, double end, s
 bool advance(struct instance *in, double t, double h, struct reason *why)
 {
     double start = 0.0, now = t;
+    if (DELAYED) return delayed_step(in, t, h, why);
     if (STATES == 0) return true;
     input_cubics(in);
     if (PROFILES == 0) return integrate(in, t, 0.0, h, why);

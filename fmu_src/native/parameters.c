@@ -62,7 +62,10 @@ bool settle(struct instance *in)
             return false;
         }
     for (int j = 0; j < PROFILES; j++)
-        if (!profile_bind(in->profiles + j, PROFILE_SLOTS + j, in->constants, why)) return false;
+        if (!profile_bind(in->profiles + j, PROFILE_SLOTS + j, in->constants,
+                          in->files + j * FILE_SIZE, why))
+            return false;
+    if (DELAYED && !ring_open(in, why)) return false;
     memcpy(in->gains, in->candidate_gains, (size_t)GAINS * sizeof(double));
     model_bind(in->constants, in->gains, in->bound);
     in->smooth.known = false;

@@ -194,9 +194,10 @@ static void add_sine(struct profile *profile, double a, double omega, double pha
 
 /* The terms in the order of their kinds; those of amplitude 0 are checked, then dropped. */
 bool profile_bind(struct profile *profile, const struct profile_slots *slots,
-                  const double *constants, struct reason *why)
+                  const double *constants, const char *file, struct reason *why)
 {
     const char *name = slots->name;
+    struct reason cause;
     profile->sine_count = profile->term_count = 0;
     profile->held = constants[slots->mean];
     for (int k = 0; k < slots->sines; k++) {
@@ -226,7 +227,10 @@ bool profile_bind(struct profile *profile, const struct profile_slots *slots,
         if (!is_seed(name, "noise", k + 1, c[2], why)) return false;
         if (c[0] != 0.0) add_term(profile, NOISE, c, 3);
     }
-    return true;
+    profile->table.linear = slots->linear >= 0 && constants[slots->linear] != 0.0;
+    if (table_read(&profile->table, file, &cause)) return true;
+    explain(why, "%s: table.file: %s", name, cause.text);
+    return false;
 }
 
 /* -- evaluation ------------------------------------------------------------------------------- */
@@ -240,6 +244,12 @@ static bool pieces_at(struct profile *profile, double t, double *start, double *
         if (!term_piece(profile->terms + i, t, profile->pieces + i, why)) return false;
         *start = greater(*start, profile->pieces[i].start);
         *end = lesser(*end, profile->pieces[i].end);
+    }
+    if (profile->table.count) {
+        double first, last;
+        table_piece(&profile->table, t, &first, &last);
+        *start = greater(*start, first);
+        *end = lesser(*end, last);
     }
     return true;
 }
@@ -255,13 +265,18 @@ bool profile_segment(struct profile *profile, double t, double *start, double *e
         if (*end <= settled && !pieces_at(profile, settled, &ignored, end, why)) return false;
         *start = first;
     }
+    profile->start = *start;
     return true;
 }
 
 double profile_value(const struct profile *profile, double t)
 {
     double total = profile->held;
+    const struct table *table = &profile->table;
     for (int i = 0; i < profile->term_count; i++) total += profile->pieces[i].held;
+    if (table->count) total += table->held;
+    if (table->count && table->slope != 0.0)
+        total += table->slope * (profile->start - table->start);
     for (int i = 0; i < profile->sine_count; i++) {
         const double *w = profile->sines[i];
         total += w[0] * sin(w[1] * t + w[2]);
@@ -270,6 +285,7 @@ double profile_value(const struct profile *profile, double t)
         const double *w = profile->pieces[i].wave;
         if (profile->pieces[i].smooth) total += w[0] * sin(w[1] * t + w[2]);
     }
+    if (table->count && table->slope != 0.0) total += table->slope * (t - profile->start);
     for (int i = 0; i < profile->term_count; i++) {
         const double *w = profile->pieces[i].wave;
         if (profile->pieces[i].sweeping) total += w[0] * sin((w[1] + w[2] * t) * t + w[3]);
@@ -279,7 +295,7 @@ double profile_value(const struct profile *profile, double t)
 
 double profile_derivative(const struct profile *profile, double t)
 {
-    double total = 0.0;
+    double total = profile->table.count ? profile->table.slope : 0.0;
     for (int i = 0; i < profile->sine_count; i++) {
         const double *w = profile->sines[i];
         total += w[0] * w[1] * cos(w[1] * t + w[2]);

@@ -15,6 +15,7 @@ bool theta_at(struct instance *in, double t, struct reason *why)
     struct smooth *smooth = &in->smooth;
     if (smooth->known && smooth->start <= t && t < smooth->end) return true;
     smooth->known = false;
+    smooth->at = NAN;
     smooth->start = -INFINITY;
     smooth->end = INFINITY;
     for (int j = 0; j < PROFILES; j++) {
@@ -31,9 +32,12 @@ bool theta_at(struct instance *in, double t, struct reason *why)
 void theta_values(struct instance *in, double t)
 {
     const double *dtheta = in->inputs + 4 * INPUTS;
+    struct smooth *smooth = &in->smooth;
+    if (t != smooth->at)
+        for (int j = 0; j < PROFILES; j++) smooth->values[j] = profile_value(in->profiles + j, t);
+    smooth->at = t;
     for (int j = 0; j < PROFILES; j++)
-        in->theta[j] = TIMED ? profile_value(in->profiles + j, t)
-                             : profile_value(in->profiles + j, t) + dtheta[j];
+        in->theta[j] = TIMED ? smooth->values[j] : smooth->values[j] + dtheta[j];
     if (TIMED) in->theta[PROFILES] = t;
 }
 
@@ -85,6 +89,7 @@ bool values_now(struct instance *in, bool slopes, struct reason *why)
         for (int j = 0; TIMED && slopes && j < PROFILES; j++)
             in->theta[PROFILES + 1 + j] = profile_derivative(in->profiles + j, t);
     }
+    if (DELAYED) delayed_values(in, slopes);
     if (s != 0.0) input_cubics(in);
     for (int i = 0; i < INPUTS; i++) {
         const double *c = in->cubics + 4 * i;
@@ -148,7 +153,9 @@ bool computed_value(struct instance *in, const struct variable *variable, double
     case GAIN: *value = in->gains[i]; return true;
     default:
         if (!evaluate(in, variable->role)) return false;
-        *value = variable->role == THETA ? in->theta[i] : in->smooth.end;
+        *value = variable->role == THETA ? in->theta[i]
+                 : DELAYED               ? delayed_event(in)
+                                         : in->smooth.end;
         return true;
     }
 }

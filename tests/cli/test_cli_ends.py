@@ -216,9 +216,9 @@ def test_steps_that_collapse_are_told_while_the_run_goes_on(tmp_path: Path, form
         assert said[0].startswith("congelation: ")
         line = said[0].removeprefix("congelation: ")
     assert re.fullmatch(
-        r"slow: at t = \S+ of 100000 s the steps are \S+ s long: the rest takes \S+ steps and "
-        r"about \S+ (s|min); a larger tolerance makes them longer, max_steps or --timeout ends the "
-        r"run",
+        r"slow: at t = \S+ of 100000 s the steps are \S+ s long: "
+        r"if they stay so, the rest takes \S+ steps and about \S+ (s|min); a larger "
+        r"tolerance makes them longer, max_steps or --timeout ends the run",
         line,
     )
     (row,) = open_results(tmp_path / "out").runs.rows()

@@ -125,13 +125,13 @@ def test_filled_reads_only_what_is_there() -> None:
         ),
     ],
 )
-def test_obstacle_makes_dynamic_rules_not_applicable(
+def test_obstacle_leaves_dynamic_rules_unevaluated(
     edit: Callable[[lag.Entries], lag.Entries], reason: str, library: Library, tmp_path: Path
 ) -> None:
     path = lag.build(tmp_path, library(""), edit=edit)
     with Checker(path) as checker:
         verdict = checker.check(BY_ID["FMI2-RESET-01"])
-    assert verdict.outcome is Outcome.NOT_APPLICABLE
+    assert verdict.outcome is Outcome.NOT_EVALUATED
     assert reason in verdict.reason
     assert "static rules only" in checker.scope
 
@@ -141,7 +141,7 @@ def test_file_that_is_no_archive(tmp_path: Path) -> None:
     path.write_text("no archive")
     (fmu,) = check([path]).fmus
     assert [f.rule for f in fmu.findings] == ["FMI2-PACK-01", "FMI2-PACK-02"]
-    assert all(v.outcome is Outcome.NOT_APPLICABLE for v in fmu.verdicts if v.rule in DYNAMIC)
+    assert all(v.outcome is Outcome.NOT_EVALUATED for v in fmu.verdicts if v.rule in DYNAMIC)
 
 
 @pytest.mark.parametrize("version", ["1.0", "3.0"])

@@ -10,8 +10,19 @@ import pytest
 
 from benchmarks.coupling import parts as benchmark
 from benchmarks.coupling.problems import problem
-from congelation.cosim import SlavePool, Status, simulate
+from congelation.cosim import (
+    Component,
+    Connection,
+    Coupling,
+    SlavePool,
+    Status,
+    System,
+    simulate,
+)
+from congelation.cosim.coupling import Auto
+from congelation.cosim.experiment import Experiment
 from congelation.errors import InvalidInput
+from tests.scenarios import FMUS
 
 from .c_fmus import SOURCES
 
@@ -44,7 +55,7 @@ def run(found, folder, ability, **more):
 def test_the_coupling_is_what_the_fmus_allow(parts, ability, how, coupling, error):
     result, found = run(PLAIN, parts, ability, **how)
     assert result.coupling == coupling
-    assert result.choice.startswith(f"auto: {coupling}, as ")
+    assert result.choice.startswith(f"auto: {coupling}")
     assert found < error
 
 
@@ -83,6 +94,51 @@ def test_extrapolation_that_is_unstable_is_not_taken(parts):
     assert result.coupling == "gauss_seidel"
     assert "extrapolated inputs are worse than held ones" in result.choice
     assert error < 0.1
+
+
+def test_a_sequence_whose_predictions_are_better_is_taken(parts):
+    drive = problem("drive")
+    result, error = run(drive, parts, "fixed", step=2e-3)
+    assert result.choice.startswith("auto: derivative (jacobi), as ")
+    assert "times nearer to their sources" in result.choice
+    _, usual = run(drive, parts, "fixed", step=2e-3, coupling="derivative")
+    assert error < 0.7 * usual
+
+
+@pytest.mark.parametrize(
+    ("ability", "how"),
+    [("fixed", {"step": 0.05}), ("held", {"tolerance": 1e-3}), ("state", {"tolerance": 1e-3})],
+)
+def test_a_chain_without_feedback_has_the_means_of_its_inputs(parts, ability, how):
+    chain = problem("chain")
+    result, error = run(chain, parts, ability, **how)
+    assert result.choice.startswith("auto: hermite, as ")
+    assert "none feeds back to one before it" in result.choice
+    passes = result.statistics.iterations
+    assert passes <= result.statistics.macro_steps + result.statistics.rejected + 2
+    _, usual = run(chain, parts, ability, step=chain.stop / passes, coupling="derivative")
+    assert error < 0.3 * usual
+
+
+@pytest.mark.parametrize("how", [{"step": 0.02}, {"tolerance": 1e-3}])
+def test_iterations_are_taken_where_a_tried_step_shows_their_worth(parts, how):
+    found = problem("predator_prey")
+    result, error = run(found, parts, "state", **how)
+    assert result.choice.startswith("auto: hermite, as not all FMUs take polynomials")
+    assert "times its error in a tried step" in result.choice
+    step = found.stop / result.statistics.iterations
+    _, usual = run(found, parts, "state", step=step, coupling="derivative")
+    assert error < 0.2 * usual
+    other, _ = run(problem("two_masses_plain"), parts, "state", **how)
+    assert other.coupling == "derivative"
+
+
+def test_a_coupling_to_be_found_is_none():
+    found = Experiment(stop_time=1.0, step=0.1)
+    assert isinstance(found.given_coupling, Auto)
+    assert not isinstance(found.given_coupling, Coupling)
+    with pytest.raises(InvalidInput, match="'auto' stands for another one, which simulate and"):
+        _ = found.chosen_coupling
 
 
 @pytest.mark.parametrize("ability", ["held", "state", "full"])
@@ -151,7 +207,8 @@ def pretenders(tmp_path_factory):
 )
 def test_an_ability_that_is_declared_and_missing_is_told(pretenders, lack, how, told):
     result, error = run(PLAIN, pretenders(lack), "full", **how)
-    assert result.coupling == "derivative"
+    # What FMUs put out without derivatives has them from its past, also in `hermite`.
+    assert result.coupling == ("hermite" if lack in (1, 2) else "derivative")
     assert told in result.choice
     assert "\n" not in result.choice
     assert error < 3e-3
@@ -167,15 +224,27 @@ def test_steps_of_a_second_length_that_are_refused_ask_for_a_step(pretenders):
 
 
 def test_bars_of_a_run_without_a_coupling(pretenders, parts):
-    for folder, ability, how in (
-        (parts, "fixed", {"step": 0.02}),
-        (parts, "held", {"tolerance": 1e-3}),
-        (pretenders(1), "full", {"step": 0.02}),
+    for folder, ability, how, coupling in (
+        (parts, "fixed", {"step": 0.02}, "derivative"),
+        (parts, "held", {"tolerance": 1e-3}, "derivative"),
+        (pretenders(1), "full", {"step": 0.02}, "hermite"),
     ):
         result, error = run(PLAIN, folder, ability, trust=True, **how)
-        assert result.coupling == "derivative"
+        assert result.coupling == coupling
         assert error <= result.trust.error < 3.0 * error
         assert result.choice
+
+
+@pytest.mark.parametrize("step", [0.4, 0.3, 5.0])
+def test_the_trial_ends_before_the_run_does(step):
+    """These FMUs refuse steps past the stop time, and take steps of any length before it."""
+    system = System(
+        (Component("p", FMUS / "ScalarPlant.fmu"), Component("c", FMUS / "ScalarController.fmu")),
+        (Connection("p.x", "c.x"), Connection("c.u", "p.u")),
+    )
+    result = simulate(system, stop_time=0.5, step=step)
+    assert result.completed, result.message
+    assert "declares" not in result.choice
 
 
 def test_a_system_without_connections_needs_no_abilities(parts):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from pathlib import Path
 
 import pytest
@@ -53,6 +54,20 @@ def test_a_pair() -> None:
         assert error(1.1 * found.stable_step) > 1.0
     else:
         assert found.stable_step == longest.step
+
+
+def test_a_loop_that_needs_shorter_steps_than_its_whole_time_allows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The search goes on over shorter times, and says so."""
+    monkeypatch.setattr(sys.modules["congelation.cosim.info"], "MOST_STEPS", 20)
+    found = info(PLANT, CONTROLLER, stop_time=2.0).pair
+    assert found is not None
+    assert found.stop_time < 2.0
+    assert found.stable_step is not None
+    assert found.accurate_step is not None
+    assert 0.5 < error(found.accurate_step) / 0.01 < 2.0
+    assert "Steps below 0.1 s were tried over ever shorter times, the last to" in found.how
 
 
 def error(step: float) -> float:

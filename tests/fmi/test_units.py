@@ -1,9 +1,13 @@
 """Units as products of SI base units."""
 
+from pathlib import Path
+
 import pytest
 
 from congelation.errors import InvalidInput
-from congelation.fmi.units import base_unit
+from congelation.fmi.description import describe
+from congelation.fmi.units import base_unit, conversion
+from tests.cosim.c_fmus import SOURCES, compile_fmu
 
 
 @pytest.mark.parametrize(
@@ -24,3 +28,29 @@ def test_products(unit, expected):
 def test_unknown_names_are_refused():
     with pytest.raises(InvalidInput, match="'furlong' is no unit"):
         base_unit("furlong/s")
+
+
+DEGENERATE = """<?xml version="1.0" encoding="UTF-8"?>
+<fmiModelDescription fmiVersion="2.0" modelName="plain" guid="{2}">
+<CoSimulation modelIdentifier="plain"/>
+<UnitDefinitions>
+<Unit name="K"><BaseUnit K="1"/><DisplayUnit name="shown" factor="0"/></Unit>
+<Unit name="of 0"><BaseUnit K="1" factor="0"/></Unit>
+<Unit name="of inf"><BaseUnit K="1" factor="INF"/></Unit>
+<Unit name="from nan"><BaseUnit K="1" offset="NaN"/></Unit>
+</UnitDefinitions>
+<ModelVariables>
+<ScalarVariable name="u1" valueReference="0"><Real nominal="INF"/></ScalarVariable>
+<ScalarVariable name="u2" valueReference="1"><Real nominal="NaN"/></ScalarVariable>
+</ModelVariables>
+<ModelStructure/></fmiModelDescription>
+"""
+
+
+def test_units_and_sizes_that_are_none_convert_and_weigh_nothing(tmp_path: Path) -> None:
+    """A factor of 0 or an infinite offset defines no unit, an infinite nominal value no size."""
+    found = describe(compile_fmu(tmp_path / "plain.fmu", SOURCES / "plain.c", DEGENERATE))
+    for name in ("of 0", "of inf", "from nan"):
+        assert conversion(found.unit(name), found.unit("K")).doubt.endswith("cannot be compared")
+    assert found.unit("shown").exponents is None
+    assert [variable.nominal for variable in found.variables.values()] == [1.0, 1.0]

@@ -1,10 +1,12 @@
 /* Calls in a random order, with random values and damaged states: calls GUID VARIABLES SEED CALLS.
 
    Linked with the sources of a native FMU under sanitizers, which end the program at a fault. It ends
-   itself where a value that is returned with fmi2OK is not a number, or a status is none. */
+   itself where a value that is returned with fmi2OK is not a number, or a status is none. With
+   LIBFUZZER it is a target of libFuzzer, whose bytes stand in place of the random numbers. */
 
 #include <math.h>
 #include <stdarg.h>
+#include <stdbool.h>
 #include <stdint.h>
 #include <stdio.h>
 #include <stdlib.h>
@@ -14,6 +16,19 @@
 
 enum { MOST = 8, INSTANCES = 3, SAVED = 4 };
 
+#ifdef LIBFUZZER
+#include "block.h"
+
+static const uint8_t *bytes;
+static size_t left;
+
+static unsigned below(unsigned bound)
+{
+    unsigned value = 0;
+    for (unsigned range = 1; range < bound && left; range <<= 8, left--) value = value << 8 | *bytes++;
+    return value % bound;
+}
+#else
 static uint64_t seed;
 
 static unsigned below(unsigned bound) /* G. Marsaglia, Xorshift RNGs, J. Stat. Softw. 8(14), 2003 */
@@ -23,6 +38,7 @@ static unsigned below(unsigned bound) /* G. Marsaglia, Xorshift RNGs, J. Stat. S
     seed ^= seed << 17;
     return (unsigned)(seed >> 33) % bound;
 }
+#endif
 
 static double number(void)
 {
@@ -55,17 +71,25 @@ static void real_numbers(fmi2Status status, const double *values, size_t count)
         if (isnan(values[i])) fprintf(stderr, "a value is no number\n"), exit(3);
 }
 
-int main(int count, char **arguments)
+static bool goes_on(long *calls)
 {
-    if (count != 5) return 2;
-    const unsigned variables = (unsigned)atoi(arguments[2]) + 2;
-    seed = strtoull(arguments[3], NULL, 10) * 2654435761u + 88172645463325252u;
+#ifdef LIBFUZZER
+    (void)calls;
+    return left > 0;
+#else
+    return (*calls)-- > 0;
+#endif
+}
+
+/* How many steps were taken among the calls. */
+static long call(const char *guid, unsigned variables, long calls)
+{
     const fmi2CallbackFunctions callbacks = {logger, calloc, free, NULL, NULL};
     fmi2Component made[INSTANCES] = {NULL};
     fmi2FMUstate saved[SAVED] = {NULL};
     double now = 0.0;
     long steps = 0;
-    for (long calls = atol(arguments[4]); calls > 0; calls--) {
+    while (goes_on(&calls)) {
         unsigned which = below(INSTANCES), slot = below(SAVED), n = below(MOST + 1);
         fmi2ValueReference vr[MOST], other[MOST];
         fmi2Integer integers[MOST];
@@ -75,12 +99,12 @@ int main(int count, char **arguments)
         for (unsigned i = 0; i < MOST; i++) {
             vr[i] = below(variables), other[i] = below(variables);
             integers[i] = (fmi2Integer)below(6) - 1;
-            strings[i] = below(2) ? "" : "a file";
+            strings[i] = below(2) ? "" : below(2) ? "no file" : "table.csv"; /* test_calls.py writes it */
             values[i] = number(), seeds[i] = number();
         }
         if (!made[which]) {
             made[which] = fmi2Instantiate("one", below(3) ? fmi2CoSimulation : fmi2ModelExchange,
-                                          below(20) ? arguments[1] : "{}", "", &callbacks, 0, (int)below(2));
+                                          below(20) ? guid : "{}", "", &callbacks, 0, (int)below(2));
             continue;
         }
         fmi2Component c = made[which];
@@ -129,15 +153,15 @@ int main(int count, char **arguments)
             break;
         case 21:
             if (saved[slot] && checked(fmi2SerializedFMUstateSize(c, saved[slot], &size)) == fmi2OK) {
-                char *bytes = malloc(size);
-                checked(fmi2SerializeFMUstate(c, saved[slot], bytes, size));
-                if (below(2)) bytes[below((unsigned)size)] ^= (char)(1 << below(8));
+                char *data = malloc(size);
+                checked(fmi2SerializeFMUstate(c, saved[slot], data, size));
+                if (below(2)) data[below((unsigned)size)] ^= (char)(1 << below(8));
                 if (below(4) == 0) size = below((unsigned)size + 1);
                 fmi2FMUstate read = NULL;
-                if (checked(fmi2DeSerializeFMUstate(c, bytes, size, &read)) == fmi2OK)
+                if (checked(fmi2DeSerializeFMUstate(c, data, size, &read)) == fmi2OK)
                     checked(fmi2SetFMUstate(c, read));
                 checked(fmi2FreeFMUstate(c, &read));
-                free(bytes);
+                free(data);
             }
             break;
         case 22:
@@ -150,6 +174,23 @@ int main(int count, char **arguments)
     }
     for (int i = 0; i < SAVED; i++) fmi2FreeFMUstate(NULL, saved + i);
     for (int i = 0; i < INSTANCES; i++) fmi2FreeInstance(made[i]);
-    printf("%ld\n", steps);
+    return steps;
+}
+
+#ifdef LIBFUZZER
+int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
+{
+    bytes = data;
+    left = size;
+    call(MODEL_GUID, (unsigned)VARIABLE_COUNT + 2, 0);
     return 0;
 }
+#else
+int main(int count, char **arguments)
+{
+    if (count != 5) return 2;
+    seed = strtoull(arguments[3], NULL, 10) * 2654435761u + 88172645463325252u;
+    printf("%ld\n", call(arguments[1], (unsigned)atoi(arguments[2]) + 2, atol(arguments[4])));
+    return 0;
+}
+#endif

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import os
 import random
+import re
+import shutil
 import subprocess
 import time
 from pathlib import Path
@@ -16,31 +18,40 @@ import pytest
 
 from tests.native.test_twins import NATIVE
 
-CHECKED = ("ObserverFormPlant", "OutputFeedbackController", "Reference")
+CHECKED = ("ObserverFormPlant", "OutputFeedbackController", "Reference", "Delay")
 FLAGS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 CALLS = 20_000
+REMEDY = "make system-packages-further installs it"
+# Debian's packages of a version call it by that.
+CLANG = shutil.which("clang") or shutil.which("clang-14")
 
 
 @pytest.fixture(scope="module")
 def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """By FMU: its sources with the driver, under the sanitizers."""
-    made = {}
-    for name in CHECKED:
-        folder = tmp_path_factory.mktemp(name)
-        sources = Path(fmpy.extract(str(NATIVE / f"{name}.fmu"), str(folder))) / "sources"
-        files = [str(Path(__file__).with_name("calls.c")), *map(str, sorted(sources.glob("*.c")))]
-        made[name] = folder / "calls"
-        command = ["gcc", *FLAGS, f"-I{sources}", *files, "-lm", "-o", str(made[name])]
-        subprocess.run(command, check=True)
-    return made
+    return {name: compiled(tmp_path_factory.mktemp(name), name, FLAGS) for name in CHECKED}
 
 
-def run(program: Path, name: str, seed: int) -> int:
+def compiled(folder: Path, name: str, flags: tuple[str, ...], compiler: str = "gcc") -> Path:
+    """The sources of an FMU with the driver, as a program."""
+    sources = Path(fmpy.extract(str(NATIVE / f"{name}.fmu"), str(folder))) / "sources"
+    files = [str(Path(__file__).with_name("calls.c")), *map(str, sorted(sources.glob("*.c")))]
+    program = folder / "calls"
+    (folder / "table.csv").write_text("time,value\n0,1\n0.013,-0.5\n0.05,2\n", "utf-8")
+    command = [compiler, *flags, f"-I{sources}", *files, "-lm", "-o", str(program)]
+    subprocess.run(command, check=True)
+    return program
+
+
+def run(
+    program: Path, name: str, seed: int, calls: int = CALLS, under: tuple[str, ...] = ()
+) -> int:
     """How many steps were taken among the calls; a fault ends the test, with the seed."""
     description = fmpy.read_model_description(str(NATIVE / f"{name}.fmu"))
     variables = len(description.modelVariables)
     done = subprocess.run(
-        [program, description.guid, str(variables), str(seed), str(CALLS)],
+        [*under, str(program), description.guid, str(variables), str(seed), str(calls)],
+        cwd=program.parent,
         capture_output=True,
         text=True,
         timeout=300,
@@ -54,6 +65,38 @@ def run(program: Path, name: str, seed: int) -> int:
 @pytest.mark.parametrize("name", CHECKED)
 def test_the_sanitizers_find_nothing(programs: dict[str, Path], name: str) -> None:
     assert sum(run(programs[name], name, seed) for seed in (1, 2)) > 100
+
+
+@pytest.mark.fuzz
+@pytest.mark.slow
+@pytest.mark.skipif(
+    shutil.which("valgrind") is None,
+    reason=f"there is no valgrind; {REMEDY}",
+)
+def test_valgrind_finds_nothing(tmp_path: Path) -> None:
+    """Reads of memory that was never written, which the sanitizers do not see, and leaks."""
+    for name in CHECKED:
+        program = compiled(tmp_path / name, name, ("-g", "-O1"))
+        under = ("valgrind", "--quiet", "--error-exitcode=9", "--leak-check=full")
+        assert run(program, name, 3, calls=CALLS // 4, under=under) > 20
+
+
+@pytest.mark.fuzz
+@pytest.mark.slow
+@pytest.mark.skipif(CLANG is None, reason=f"there is no clang with libFuzzer; {REMEDY}")
+@pytest.mark.parametrize("name", CHECKED)
+def test_libfuzzer_finds_nothing(tmp_path: Path, name: str) -> None:
+    """Sequences of calls and values grow by what reaches new code."""
+    flags = ("-g", "-O1", "-DLIBFUZZER", "-fsanitize=fuzzer,address,undefined")
+    program = compiled(tmp_path, name, (*flags, "-fno-sanitize-recover=all"), str(CLANG))
+    seconds = float(os.environ.get("CONGELATION_FUZZ_SECONDS", "4")) / len(CHECKED)
+    limits = [f"-max_total_time={max(round(seconds), 1)}", "-max_len=4000", "-timeout=60"]
+    done = subprocess.run(
+        [program, *limits], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, f"{name}: {done.stderr[-4000:]}"
+    (runs,) = re.findall(r"Done (\d+) runs", done.stderr)
+    assert int(runs) > 10
 
 
 @pytest.mark.fuzz

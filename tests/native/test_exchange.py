@@ -185,7 +185,7 @@ def _set_randomly(part: Exchange, draw: random.Random) -> dict[str, float]:
     return values
 
 
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [name for name in NAMES if name != "Delay"])
 def test_directional_derivatives_are_those_of_finite_differences(name: str) -> None:
     """All unknowns with respect to all inputs and states at once, in a random direction."""
     draw = random.Random(5)
@@ -287,6 +287,14 @@ def test_the_piece_of_the_profile_changes_in_event_mode_alone() -> None:
         part.slave.setFMUstate(state)
         assert part.instance.get("theta[1]") == before
         part.slave.freeFMUstate(state)
+
+
+def test_a_delay_is_for_co_simulation_alone() -> None:
+    path = NATIVE / "Delay.fmu"
+    description = fmpy.read_model_description(str(path))
+    assert description.modelExchange is None
+    with pytest.raises(Exception, match="instantiate"), loaded(path, exchange=True):
+        pass
 
 
 def test_a_state_belongs_to_one_kind() -> None:

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 import fmpy
 import pytest
 
-from tests.fmus.instance import FMUS, Instance, loaded
+from tests.fmus.instance import DISCARD, FMUS, Instance, loaded
 
 NATIVE = FMUS / "native"
 NAMES = sorted(path.stem for path in NATIVE.glob("*.fmu"))
@@ -62,10 +62,12 @@ def test_variables_are_those_of_the_twin(name: str) -> None:
     ]
     shared = len(facts[0])
     assert facts[0] == facts[1][:shared]
-    assert all(
-        name.startswith("der(") and causality == "local"
-        for name, _, _, causality, *_ in facts[1][shared:]
-    )
+    further = facts[1][shared:]
+    own = ["leave_at_jumps"] if any(name == "next_event" for name, *_ in facts[0]) else []
+    own += ["capacity"] if name == "Delay" else []
+    assert [row[0] for row in further[len(further) - len(own) :]] == own
+    further = further[: len(further) - len(own)]
+    assert all(n.startswith("der(") and causality == "local" for n, _, _, causality, *_ in further)
     assert one.guid != other.guid
 
 
@@ -103,6 +105,67 @@ def test_every_term_of_a_profile_is_equal_to_the_last_bit(name: str) -> None:
     with one as (python,), other as (native,):
         rows = [_drive(instance, 3, **PROFILE) for instance in (python, native)]
         assert all(_same(a, b) for a, b in zip(*rows, strict=True))
+
+
+ROWS = """time,value  # a header
+-0.1, 0.25
+0.2,1_0.5e-1 # a comment
+
+0.35,-1.5e-1
+0.5 , 0.0625
+1.1,.5
+"""
+
+
+@pytest.mark.parametrize("linear", [True, False])
+@pytest.mark.parametrize("name", ["ScalarPlant", "Disturbance"])
+def test_a_table_is_equal_to_the_last_bit(name: str, linear: bool, tmp_path: Path) -> None:
+    file = tmp_path / "table.csv"
+    file.write_text("\ufeff" + ROWS.replace("\n", "\r\n"), "utf-8")
+    table = {"profile[1].table.file": str(file), "profile[1].table.linear": linear}
+    one, other = _both(name)
+    with one as (python,), other as (native,):
+        rows = [_drive(instance, 3, **PROFILE, **table) for instance in (python, native)]
+        assert all(_same(a, b) for a, b in zip(*rows, strict=True))
+        references = [native.references["profile[1].table.file"]]
+        assert native.slave.getString(references) == [str(file).encode()]
+        # The state holds the name of the file, from which another instance reads it.
+        data = native.slave.serializeFMUstate(native.slave.getFMUstate())
+        expected = native.get(*native.outputs)
+        native.slave.reset()
+        assert native.slave.getString(references) == [b""]
+        native.slave.setFMUstate(native.slave.deSerializeFMUstate(data))
+        assert native.get(*native.outputs) == expected
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (None, "No such file or directory"),
+        ("", "no rows; expected two columns time,value"),
+        ("time,value\n", "no rows; expected two columns time,value"),
+        ("0,1\n1,2,3\n", "line 2: '1,2,3' is not time,value (two finite numbers)"),
+        ("time,value\n\ntime,value\n", "line 3: 'time,value' is not time,value"),
+        ("0,inf\n", "line 1: '0,inf' is not time,value"),
+        ("1,0\n0.5,1\n", "line 2: time 0.5 does not come after 1.0"),
+        ("0,1e308\n1e-3,-1e308\n", "line 2: the step from 1e+308 to -1e+308 is beyond double"),
+    ],
+)
+def test_a_bad_table_is_refused_as_by_the_twin(text: str | None, says: str, tmp_path: Path) -> None:
+    file = tmp_path / "table.csv"
+    if text is not None:
+        file.write_text(text, "utf-8")
+    one, other = _both("ScalarPlant")
+    with one as (python,), other as (native,):
+        python.start(**{"profile[1].table.file": str(file)})
+        with pytest.raises(Exception, match="fmi2ExitInitializationMode"):
+            native.start(**{"profile[1].table.file": str(file)})
+        for instance in (python, native):
+            assert f"profile[1]: table.file: table file '{file}'" in instance.errors()[0]
+            assert says in instance.errors()[0]
+        native.slave.reset()
+        with pytest.raises(Exception, match="fmi2SetString"):
+            native.assign({"profile[1].table.file": "x" * 512})
 
 
 def test_gains_are_equal_to_the_last_bit() -> None:
@@ -198,6 +261,79 @@ def test_a_diverging_step_is_discarded() -> None:
         before = native.get("x")
         assert native.step(0.0, 1e9) == 2
         assert native.get("x") == before
+
+
+def test_a_step_is_left_at_a_jump_on_demand() -> None:
+    """theta jumps at 0.35 and 0.7; the pieces of a step end where the whole one does."""
+    path = NATIVE / "ScalarPlant.fmu"
+    square = {"profile[1].square[1].amplitude": 0.5, "profile[1].square[1].period": 0.7}
+    with loaded(path, count=2) as (whole, parts):
+        whole.start(**square)
+        parts.start(**square, leave_at_jumps=True)
+        for instance in (whole, parts):
+            instance.set(u=0.2)
+        t, times = 0.0, []
+        while t < 0.8:
+            status = parts.step(t, 0.8 - t)
+            t = parts.slave.getRealStatus(2)  # fmi2LastSuccessfulTime
+            times.append((status, t))
+        assert times == [(DISCARD, 0.35), (DISCARD, 0.7), (0, 0.8)]
+        assert whole.step(0.0, 0.8) == 0
+        assert whole.slave.getRealStatus(2) == 0.8
+        for one, other in zip(whole.get(*whole.outputs), parts.get(*whole.outputs), strict=True):
+            assert one == pytest.approx(other, rel=1e-9)
+        # A jump at the very end of a step belongs to the next one.
+        parts.slave.reset()
+        parts.start(**square, leave_at_jumps=True)
+        assert parts.step(0.0, 0.35) == 0
+    assert "ended at the jump at t = 0.35" in parts.errors()[0]
+
+
+def test_a_delay_remembers_as_the_twin() -> None:
+    """Steps longer and shorter than the delay, jumps that are announced, and a memory that goes
+    round its ring many times."""
+    with (
+        loaded(FMUS / "Delay.fmu") as (python,),
+        loaded(NATIVE / "Delay.fmu", count=2) as (native, copy),
+    ):
+        python.start(delay=0.13)
+        native.start(delay=0.13, capacity=40)
+        draw, t, steps = random.Random(2), 0.0, 0
+        names = native.outputs
+        while steps < 400:
+            h = draw.choice((0.004, 0.01, 0.01, 0.05, 0.3))
+            value = draw.choice((0.0, 1.0, draw.uniform(-1.0, 1.0)))
+            values = {"u[1]": value, "der(u[1])": 1.5, "der(u[1],2)": -2.0, "der(u[1],3)": 9.0}
+            for instance in (python, native):
+                instance.assign(values if steps % 3 else {"u[1]": value})
+            assert _same(python.get(*names), native.get(*names))
+            assert (python.step(t, h), native.step(t, h)) == (0, 0)
+            assert _same(python.get(*names), native.get(*names))
+            t, steps = t + h, steps + 1
+            if steps % 50 == 0:
+                data = native.slave.serializeFMUstate(native.slave.getFMUstate())
+                copy.slave.setFMUstate(copy.slave.deSerializeFMUstate(data))
+                assert _same(copy.get(*names), native.get(*names))
+                native, copy = copy, native
+
+
+def test_a_delay_refuses_what_its_capacity_does_not_hold() -> None:
+    with loaded(NATIVE / "Delay.fmu") as (native,):
+        native.start(capacity=3, delay=1.0)
+        assert [native.step(k * 0.25, 0.25) for k in range(4)] == [0, 0, 0, DISCARD]
+        assert native.step(0.75, 2.0) == 0
+        assert "holds more than 3 steps of this length" in native.errors()[0]
+        native.slave.reset()
+        with pytest.raises(Exception, match="fmi2ExitInitializationMode"):
+            native.start(capacity=0)
+        assert "capacity = 0 is refused: it must be positive" in native.errors()[1]
+        # What comes out jumps at 1; a step ends there on demand.
+        native.slave.reset()
+        native.start(delay=1.0, leave_at_jumps=True, **{"before[1]": -1.0})
+        native.assign({"u[1]": 0.5})
+        assert native.step(0.0, 5.0) == DISCARD
+        assert native.slave.getRealStatus(2) == 1.0
+        assert native.get("y[1]") == [0.5]
 
 
 def test_a_library_refuses_the_guid_of_another_fmu(tmp_path: Path) -> None:

@@ -1,16 +1,21 @@
-"""The documentation as a site: no warning, its examples run, all links lead somewhere."""
+"""The documentation: its site has no warning and no broken link, and its examples run."""
 
 from __future__ import annotations
 
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote, urldefrag
 
+import numpy as np
 import pytest
 import typer
 from lxml import html
 
+import congelation as cg
 from congelation.cli import app
 from tests.report.browser import WIDTHS, chromium, needs_browser
 from tests.scenarios import ROOT
@@ -64,6 +69,14 @@ def test_figures_and_equations_are_in_the_pages(site: Path) -> None:
 
 
 @pytest.mark.slow
+def test_formulas_are_understood(site: Path) -> None:
+    """A command that the converter does not know would stay in the formula as it is."""
+    for page in site.glob("*.html"):
+        for formula in html.parse(page).iter("math"):
+            assert "\\" not in formula.text_content(), page
+
+
+@pytest.mark.slow
 @needs_browser
 def test_no_page_is_wider_than_its_window(site: Path) -> None:
     """Tables, code and long formulas scroll, or are broken into lines, in boxes of their own."""
@@ -82,7 +95,11 @@ def test_no_page_is_wider_than_its_window(site: Path) -> None:
 
 COLUMNS = 100  # of code
 
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs").glob("*/*.md")])
+PAGES = [
+    page
+    for page in sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md")])
+    if "generated" not in page.parts  # written by the build
+]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
@@ -101,7 +118,7 @@ def test_commands_in_pages_exist_with_their_options(page: Path) -> None:
     """Indented lines ``congelation COMMAND --option``; comments after # are left out."""
     known = typer.main.get_command(app).commands  # type: ignore[attr-defined]
     for line in page.read_text("utf-8").splitlines():
-        if not line.startswith("    congelation ") or "generated" in page.parts:
+        if not line.startswith("    congelation "):
             continue
         _, name, *words = line.partition(" #")[0].replace("[", " ").replace("]", " ").split()
         if name in ("COMMAND", "--version", "--help") or name.endswith(":"):
@@ -109,3 +126,69 @@ def test_commands_in_pages_exist_with_their_options(page: Path) -> None:
         options = {option for p in known[name].params for option in (*p.opts, *p.secondary_opts)}
         given = {word.partition("=")[0] for word in words if word.startswith("--")}
         assert given <= options | {"--help"}, line
+
+
+def python_of(page: str) -> list[str]:
+    """The blocks of Python in a page, as they stand there."""
+    text = (ROOT / "docs" / page).read_text("utf-8")
+    return re.findall(r"^```python\n(.*?)^```", text, re.M | re.S)
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with what the pages name, in which their blocks run."""
+    (tmp_path / "fmus").symlink_to(ROOT / "fmus")
+    (tmp_path / "build").mkdir()
+    for name in ("Model.fmu", "build/Gearbox.fmu"):
+        shutil.copy(ROOT / "fmus/ScalarPlant.fmu", tmp_path / name)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_python_of_the_master_and_of_error_bars(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The block on error bars goes on with the system of the one on the master."""
+    names: dict[str, Any] = {}
+    for block in (*python_of("cosim.md"), *python_of("trust.md")):
+        exec(block.replace("stop_time=10.0", "stop_time=0.2"), names)
+    said = capsys.readouterr().out.splitlines()
+    assert said[0].startswith("COMPLETED")
+    assert "peak" in said[1]
+
+
+def test_python_of_scenarios_and_archives(place: Path) -> None:
+    names = {name: getattr(cg, name) for name in cg.__all__}
+    (block,) = python_of("scenarios.md")
+    exec(block, names)
+    cg.export_ssp(names["scenario"], place / "fig2.ssp")
+    (block,) = python_of("howto/ssp.md")
+    exec(block, names)
+    assert [run.status for run in names["results"].runs] == ["COMPLETED"]
+
+
+def test_python_of_a_metric() -> None:
+    """|v| = t/2 up to 2 has passed 0.9 of its largest value at 3.6."""
+    (block,) = python_of("howto/metrics.md")
+    names: dict[str, Any] = {}
+    exec(block, names)
+    time = np.linspace(0.0, 4.0, 41)
+    assert names["rise"](time, time[:, np.newaxis] / 2) == pytest.approx(3.6, abs=0.11)
+    assert names["rise_time"].unit("m") == "s"
+
+
+@pytest.mark.parametrize("page", ["conformance.md", "tutorials/ci.md"])
+def test_python_of_the_checker(place: Path, page: str) -> None:
+    (block,) = python_of(page)
+    names: dict[str, Any] = {}
+    exec(block, names)
+    assert names["report"].fmus[0].verdicts
+
+
+def test_every_page_with_python_is_run_by_a_test() -> None:
+    """Here, or by `tests/signals`; the build runs code cells, doctests the sessions."""
+    here = {"cosim.md", "trust.md", "scenarios.md", "howto/metrics.md", "howto/ssp.md",
+            "conformance.md", "tutorials/ci.md"}  # fmt: skip
+    docs = ROOT / "docs"
+    found = {str(p.relative_to(docs)) for p in PAGES if p.is_relative_to(docs)}
+    assert {page for page in found if python_of(page)} == here | {"signals.md"}

@@ -41,7 +41,7 @@ def test_lines_of_the_readme(folder: Path, standard_input: bool) -> None:
     assert (done.returncode, done.stderr) == (0, "")
     for name in ("Controller 1", "Controller 2"):
         assert name in done.stdout
-    assert (folder / "f16.png").read_bytes().startswith(b"\x89PNG")
+    assert (folder / "results/f16/f16.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "results" / "f16" / "runs.parquet").is_file()
 
 

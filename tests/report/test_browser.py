@@ -128,6 +128,20 @@ def test_dark_mode_and_print(browser: Browser, run_page: Path, tmp_path: Path) -
         assert (tmp_path / "run.pdf").read_bytes().startswith(b"%PDF")
 
 
+def test_paper_is_light(browser: Browser, run_page: Path) -> None:
+    """Colours of the first curve and of its ground, as they are drawn when a browser prints."""
+    drawn = """(event) => {
+      window.dispatchEvent(new Event(event));
+      const plot = Object.values(Bokeh.index)[0];
+      const drawn = [...plot.renderer_views.values()];
+      const curve = drawn.find((v) => v.model.tags.includes("variant 0"));
+      return [plot.model.background_fill_color, String(curve.glyph.line_color.value)];
+    }"""
+    with opened(browser, run_page, scheme="dark") as page:
+        assert page.evaluate(drawn, "beforeprint") == ["#ffffff", "#0072b2"]
+        assert page.evaluate(drawn, "afterprint") == ["#14171a", "#56a8e0"]
+
+
 @pytest.mark.parametrize("width", WIDTHS)
 def test_nothing_of_a_comparison_is_cut(
     browser: Browser, comparison_page: Path, width: int

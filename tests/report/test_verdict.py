@@ -67,7 +67,7 @@ def test_variants_with_the_same_outcome_share_a_sentence() -> None:
     ]
     about = {"varied": [OMEGA], "axes": [[OMEGA]], "units": {OMEGA: "rad/s"}}
     assert list(study_verdict(study(runs, **about))) == [
-        "A and B settle in all 4 runs.",
+        "A and B settle in all 4 runs, after 1 s.",
         "C settles in 2 of 4 runs: in all from omega = 10 rad/s on and in none up to "
         "omega = 1 rad/s.",
         "A pays with a peak of |u| that is 10 times that of B and C.",

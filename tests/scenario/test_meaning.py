@@ -109,6 +109,36 @@ def test_an_input_that_is_set_or_left_open_is_not(tmp_path: Path, change: tuple[
     assert load_scenario(write(tmp_path, SCALAR, (LINK, ""), change)).warnings == ()
 
 
+def test_a_metric_of_times_after_the_end_is_named(tmp_path: Path) -> None:
+    change = ('{metric = "peak", of = "plant.x"}', '{metric = "peak", of = "plant.x", after = 2.0}')
+    file = write(tmp_path, SCALAR, change)
+    (warning,) = load_scenario(file).warnings
+    assert warning == (
+        f"{file}: metrics.peak_x.after = 2 is past stop_time = 1: the metric has no value"
+    )
+    axis = '[sweep]\n[[sweep.axes]]\nset = "experiment.stop_time"\nvalues = [1.0, 3.0]\n[[figures]]'
+    assert load_scenario(write(tmp_path, SCALAR, change, ("[[figures]]", axis))).warnings == ()
+
+
+def test_a_step_longer_than_the_run_is_named(tmp_path: Path) -> None:
+    change = ("step = 0.01", "step = 1.5")
+    file = write(tmp_path, SCALAR, change)
+    (warning,) = load_scenario(file).warnings
+    assert (
+        warning == f"{file}: experiment.step = 1.5 is longer than the run, 1 s, which is one step"
+    )
+    first = ("step = 0.01", "step = 1.5\ntolerance = 1e-4")  # the first step is tried
+    assert load_scenario(write(tmp_path, SCALAR, first)).warnings == ()
+
+
+def test_more_rows_than_a_machine_keeps_are_refused(tmp_path: Path) -> None:
+    change = ("step = 0.01", "step = 0.01\noutput_interval = 1e-9")
+    with pytest.raises(
+        InvalidInput, match="output_interval = 1e-09 asks for 1e\\+09 rows of a run"
+    ):
+        load_scenario(write(tmp_path, SCALAR, change))
+
+
 def test_shipped_fmus_say_which_inputs_are_left_alone(tmp_path: Path) -> None:
     """der(.) and dtheta are optional: nothing is said of them."""
     assert load_scenario(write(tmp_path)).warnings == ()
@@ -119,6 +149,7 @@ def test_shipped_fmus_say_which_inputs_are_left_alone(tmp_path: Path) -> None:
     [
         ("controller.y", "open: record 'controller.y': "),
         ("plant.x", "open: 'plant.x' is of causality output, no input"),
+        ("plant.u", "open: 'plant.u' is driven by 'controller.u -> plant.u'; leave one of them"),
     ],
 )
 def test_open_names_inputs(tmp_path: Path, name: str, message: str) -> None:

@@ -117,8 +117,9 @@ def test_a_number_of_a_profile_is_spelled_alike_everywhere(
         """
     changed = f'{{"controller.damping" = true, "{spelled}" = 4.0}}'
     old = '{"controller.damping" = true}'
-    scenario = load_scenario(write(tmp_path, SCALAR + sweep, (old, changed)))
-    assert scenario.variants[0].settings == {"controller.damping": True, name: 4.0}
+    set_by_variant = load_scenario(write(tmp_path, SCALAR, (old, changed))).variants[0]
+    assert set_by_variant.settings == {"controller.damping": True, name: 4.0}
+    scenario = load_scenario(write(tmp_path, SCALAR + sweep))
     assert scenario.sweep is not None
     assert list(scenario.sweep.points()) == [{name: 4.0}, {name: 5.0}]
     random = sweep.replace("values = [4.0, 5.0, 6.0]", "uniform = [4.0, 5.0]")

@@ -287,6 +287,12 @@ MISTAKES = {
         "controller.epsilon",
         "sweep.axes[4].set sets 'controller.epsilon', which sweep.axes[1] sets already",
     ),
+    "a variable that variants set": (
+        'set = "controller.gamma"\nvalues = [1, 2]',
+        'set = "controller.damping"\nvalues = [true, false]',
+        "sweep.axes[4].set sets 'controller.damping', which the variant 'Controller 1' sets "
+        "already; leave it out there, or name the variants that the axis is of: variants = [..]",
+    ),
     "row of another length": (
         '["jacobi", 0.01]',
         '["jacobi"]',
@@ -312,6 +318,12 @@ MISTAKES = {
         "values = [1, 2]",
         "linspace = [1, 1, 3]",
         "sweep.axes[4].linspace = [1, 1, 3] is not valid",
+    ),
+    "linspace of too many": (
+        "values = [1, 2]",
+        "linspace = [1, 2, 1000000000]",
+        "sweep.axes[4].linspace = [1, 2, 1000000000] is not valid; give [first, last, count] with "
+        "two ends and a count from 2 to 1048576",
     ),
     "logspace of a negative end": (
         "values = [1, 2]",

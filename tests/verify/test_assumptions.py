@@ -97,6 +97,14 @@ BROKEN = {
         'plant.profile."theta[1]": b_0 varies between 1.5 and 2.5, and output feedback is proved '
         "for constant b (Assumption 2); make it constant, such as [{constant = 2}]",
     ),
+    "b jumps at random": (
+        (
+            "{constant = 2.0}]",
+            "{constant = 2.0}, {telegraph = {amplitude = 0.5, rate = 1.0, seed = 1}}]",
+        ),
+        'plant.profile."theta[1]": b_0 varies between 1.5 and 2.5, and output feedback is proved '
+        "for constant b (Assumption 2); make it constant, such as [{constant = 2}]",
+    ),
     "set": (
         ("delta = 1.0", "delta = 1.0, projection_ball = true, theta_bound = 4.0, rho_bound = 0.1"),
         "controller.rho_center: the set of the adaptation law does not hold 1/b_0, (0.5), and the "

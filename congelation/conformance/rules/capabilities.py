@@ -193,7 +193,9 @@ def directional_derivative(bench: Bench) -> Iterator[str]:
         excite(instance, description, 0, instead={known.index: moved})
         other = read(instance, tuple(unknowns))
         for v, derivative in zip(unknowns, found, strict=True):
-            quotient = (float(other[v.index]) - float(base[v.index])) / _QUOTIENT_STEP
+            before, after = float(base[v.index]), float(other[v.index])
+            # What stays infinite, such as the time of an event that never comes, does not change.
+            quotient = 0.0 if same(before, after) else (after - before) / _QUOTIENT_STEP
             if not _close(derivative, quotient):
                 yield f"d {v.name} / d {known.name} is {derivative!r}, measured {quotient!r}"
     instance.free()

@@ -1,7 +1,7 @@
 """Couplings: how inputs move between communication points.
 
 base            the contract, and what a trial of a step returns
-auto            Auto: the most accurate one that the FMUs allow
+auto            Auto, which stands for the most accurate one that the FMUs allow
 held            Jacobi, GaussSeidel, Sampled
 derivative      Derivative
 hermite         Hermite; its polynomials in interpolant
@@ -49,16 +49,16 @@ __all__ = [
     "refuse_tolerance",
 ]
 
-COUPLINGS: Mapping[str, type[Coupling]] = MappingProxyType(
+COUPLINGS: Mapping[str, type[Coupling | Auto]] = MappingProxyType(
     {
         kind.name: kind
         for kind in (Auto, Jacobi, GaussSeidel, Derivative, Hermite, Sampled, ModelExchange)
     }
 )
-"""Every coupling by its name."""
+"""Every coupling by its name, and what stands for one."""
 
 
-def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Coupling:
+def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Coupling | Auto:
     """A coupling from its name and options, as a scenario gives them.
 
     Raises
@@ -69,9 +69,9 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
     if name not in COUPLINGS:
         raise InvalidInput(f"coupling '{name}'; {nearest(name, COUPLINGS)}")
     kind = COUPLINGS[name]
-    fields = dataclasses.fields(kind)  # type: ignore[arg-type]  # every coupling is a dataclass
+    fields = dataclasses.fields(kind)  # type: ignore[arg-type]  # all are dataclasses
     known = [field.name for field in fields]
-    types = _types(kind)
+    types = _types(kind)  # type: ignore[arg-type]  # a union of classes is hashable
     given = dict(options or {})
     for option, value in given.items():
         if option not in known:
@@ -88,7 +88,7 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
 
 
 @cache
-def _types(kind: type[Coupling]) -> Mapping[str, Any]:
+def _types(kind: type[Coupling | Auto]) -> Mapping[str, Any]:
     """The types of a coupling's options; to find them takes longer than a short run."""
     return get_type_hints(kind)
 

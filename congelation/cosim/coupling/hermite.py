@@ -35,13 +35,14 @@ Floats = npt.NDArray[np.float64]
 
 ACCELERATIONS = ("broyden", "none")
 JUMPS = ("refuse", "pass")
+CONTROLS = ("halves", "prediction")
 
 SHARE_OF_TOLERANCE = 0.3
 """Part of a step's error tolerance that is left to unfinished iterations."""
 
 SHARE_OF_HALVED = 1e-4
-"""The same part where the error of a step is the difference of two solutions: unfinished iterations
-of either must not show in the difference."""
+"""The same part where the error of a step is the difference of two solutions, in which unfinished
+iterations of either must not show, or is only predicted."""
 
 HELD = 2
 """Order where an input cannot follow the cubic, or a source has no derivative."""
@@ -88,6 +89,11 @@ class Hermite(Coupling):
         What a step is that no length makes as accurate as a tolerance asks. "refuse": the end of
         the run. "pass": a jump that no FMU announces; the shortest step over it is kept, and what
         was before it is forgotten.
+    control : str
+        How the error of a step is found where a tolerance chooses it and an input cannot follow the
+        cubic, or a source has no derivative. "halves": the step is made again in two halves, and
+        the difference tells. "prediction": as by `Derivative`; with one iteration, FMUs need not
+        save their state.
 
     Examples
     --------
@@ -102,6 +108,7 @@ class Hermite(Coupling):
     max_iterations: int = 12
     acceleration: str = "broyden"
     jumps: str = "refuse"
+    control: str = "halves"
     name: ClassVar[str] = "hermite"
     needs_derivatives: ClassVar[bool] = True
     lands_on_events: ClassVar[bool] = True
@@ -114,6 +121,8 @@ class Hermite(Coupling):
             raise InvalidInput(f"acceleration '{self.acceleration}'; valid: {valid}")
         if self.jumps not in JUMPS:
             raise InvalidInput(f"jumps '{self.jumps}'; valid: {', '.join(JUMPS)}")
+        if self.control not in CONTROLS:
+            raise InvalidInput(f"control '{self.control}'; valid: {', '.join(CONTROLS)}")
         if self.order not in (None, LOW, HIGH):
             raise InvalidInput(f"order {self.order}; valid: {LOW}, {HIGH}")
         for name in ("iterations", "max_iterations"):
@@ -256,12 +265,14 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         self._reader = LinkReader(ensemble)
         self.first_change = FIRST_CHANGE
         self._highest = self._highest_order()
-        self.halves = bool((ensemble.order < MAX_DERIVATIVE).any() or self._reader.inexact.size)
-        self.keeps = coupling.jumps == "pass"
-        self.order = HELD if self.halves else LOW
+        low = bool((ensemble.order < MAX_DERIVATIVE).any() or self._reader.inexact.size)
+        self.predicts = low and tolerance is not None and coupling.control == "prediction"
+        self.halves = low and not self.predicts
+        self.keeps = self.predicts or coupling.jumps == "pass"
+        self.order = HELD if low else LOW
         self._accuracy = coupling.tolerance
         if tolerance is not None:
-            self._accuracy = tolerance * (SHARE_OF_HALVED if self.halves else SHARE_OF_TOLERANCE)
+            self._accuracy = tolerance * (SHARE_OF_HALVED if low else SHARE_OF_TOLERANCE)
         self._unsettled = self._accuracy
         if tolerance is not None:
             self._unsettled = tolerance * SHARE_OF_TOLERANCE
@@ -397,6 +408,10 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         points = state.points.followed(end, new)
         if not new.size:
             return Trial(HermiteState(points, self._highest, J, length), 0.0, LOW, 0)
+        if self.predicts:
+            value, slope = state.points.now
+            missed, worst = self._relative(np.abs(value + length * slope - new[0]), new)
+            return Trial(HermiteState(points, LOW, J, length), missed, HELD, worst)
         distances = estimated_error(piece, state.points, end, new, high=self._highest == HIGH)
         low, worst = self._relative(distances[0], new)
         order, next_order = LOW, self._highest
@@ -451,6 +466,8 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         return float(relative[worst]), worst
 
     def first_step(self, state: HermiteState) -> float:
+        if self.predicts and self._reader.inexact.size:
+            return 0.0  # nothing is known before a step is made
         return self._reader.time_scale(state.points.now) * self.first_change
 
     def largest_error(self) -> float:

@@ -19,6 +19,8 @@
 #else
 #undef fmi2DoStep
 #define fmi2DoStep able
+#undef fmi2ExitInitializationMode
+#define fmi2ExitInitializationMode initialised
 #endif
 
 #include "parts.c"
@@ -28,6 +30,7 @@
 #undef fmi2GetFMUstate
 #undef fmi2SetFMUstate
 #undef fmi2DoStep
+#undef fmi2ExitInitializationMode
 
 #if LACK == 1 || LACK == 2
 fmi2Status fmi2GetRealOutputDerivatives(fmi2Component c, const fmi2ValueReference r[], size_t n,
@@ -45,10 +48,28 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state) { return fmi2Er
 #elif LACK == 5
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state) { return fmi2OK; }
 #else
+#define INSTANCES 64
+/* The length of its first step, of each instance; no part of the state. */
+static struct {
+    fmi2Component instance;
+    double length;
+} grids[INSTANCES];
+
+static double *grid(fmi2Component c) {
+    int k = 0;
+    while (grids[k].instance && grids[k].instance != c && k < INSTANCES - 1) k++;
+    grids[k].instance = c;
+    return &grids[k].length;
+}
+
+fmi2Status fmi2ExitInitializationMode(fmi2Component c) {
+    *grid(c) = 0;
+    return initialised(c);
+}
+
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
-    Model *m = c;
-    static double length;
-    if (t == 0) length = h;
-    return fabs(h - length) > 1e-9 * length ? fmi2Error : able(m, t, h, no);
+    double *length = grid(c);
+    if (*length == 0) *length = h;
+    return fabs(h - *length) > 1e-9 * *length ? fmi2Error : able(c, t, h, no);
 }
 #endif

@@ -1,0 +1,562 @@
+"""The trial before a run: whether FMUs can do what they declare, and which coupling errs least.
+
+It makes a few steps with instances of its own, which are freed before the run begins. Only where
+the caller lends instances from run to run, as studies do, are these tried, and reset as they are
+between any two runs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from congelation.cosim.coupling import Coupling, Derivative, GaussSeidel, Hermite, Stepper
+from congelation.cosim.coupling.points import Points
+from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.exchange import settle_discrete
+from congelation.cosim.experiment import Experiment, divides, slave_tolerance, step_count
+from congelation.cosim.pool import SlavePool
+from congelation.cosim.recording import Columns
+from congelation.cosim.result import RunEnded
+from congelation.cosim.session import Session
+from congelation.cosim.step_control import DECIDED
+from congelation.cosim.system import MAX_DERIVATIVE, ResolvedSystem
+from congelation.errors import SlaveError
+from congelation.fmi.slave import SlaveTerminated
+
+__all__ = ["ABILITIES", "SLOPES", "Lack", "Trial", "label"]
+
+Floats = npt.NDArray[np.float64]
+
+# -- abilities ------------------------------------------------------------------------------------
+
+SHARE = 1e-3
+"""Length of the steps that are tried, as a part of the horizon, if the experiment gives none."""
+
+BEFORE_JUMP = 0.25
+"""Part of the time to the first announced jump after which a tried step ends."""
+
+REPEATED = 0.5
+"""Largest difference of a step from a restored state, relative to what the step changes; beyond it,
+the state was not restored."""
+
+HALF_WAY = (-0.1, 0.8)
+"""Where a step of half the length ends, as parts of what the whole one changed. A change in
+proportion to a power of the time is at half of it or less; from a state that was not restored, it
+would end beyond 1."""
+
+REFUSED_LENGTH = "refuses the second one"
+
+ROUNDING = 1e-6
+"""Relative changes up to this size show nothing."""
+
+STATES, SLOPES = "can_get_and_set_state", "max_output_derivative_order"
+CUBICS, LENGTHS = "can_interpolate_inputs", "can_vary_step"
+
+ABILITIES = MappingProxyType(
+    {
+        STATES: "states that can be saved and restored",
+        SLOPES: "derivatives of its outputs",
+        CUBICS: "inputs that follow polynomials",
+        LENGTHS: "steps of any length",
+    }
+)
+"""Abilities that an FMU may declare, by the name of their fields in its description."""
+
+CALLED = MappingProxyType(
+    {
+        "fmi2GetFMUstate": STATES,
+        "fmi2SetFMUstate": STATES,
+        "fmi2FreeFMUstate": STATES,
+        "fmi2GetRealOutputDerivatives": SLOPES,
+        "fmi2SetRealInputDerivatives": CUBICS,
+    }
+)
+"""The functions that go with an ability."""
+
+
+class Lack(NamedTuple):
+    """An ability that an FMU declares and does not have.
+
+    Parameters
+    ----------
+    component : str
+    ability : str
+        One of `ABILITIES`.
+    shown : str
+        What the trial showed.
+    """
+
+    component: str
+    ability: str
+    shown: str
+
+    def __str__(self) -> str:
+        return f"{self.component} declares {ABILITIES[self.ability]}, but {self.shown}"
+
+
+def _lack_of(error: Exception, system: ResolvedSystem) -> Lack | None:
+    """The ability that an FMU has declared and refuses."""
+    ability = CALLED.get(getattr(error, "call", ""))
+    if ability is None or not isinstance(error, SlaveError):
+        return None
+    member = next(m for m in system.members if m.name == error.component)
+    if not getattr(member.description, ability):
+        return None
+    return Lack(member.name, ability, f"refuses {error.call}: {error.message}")
+
+
+# -- measurement ----------------------------------------------------------------------------------
+
+MOST_STEPS, PART = 20, 0.05
+"""Steps that are made before couplings are compared, at most, and as a part of the run."""
+
+SHOWN = 10
+"""Steps after which extrapolated inputs must be nearer to their sources than held ones: where
+extrapolation is unstable, its errors have grown by then."""
+
+DOUBTFUL = 0.3
+"""From this distance of extrapolated inputs on, over that of held ones, another sequence is tried.
+Over the coupling problems it is up to 0.16 where all is well, and 0.5 and 3 where errors grow."""
+
+WORTH = 200
+"""Steps of a run for which a comparison, of about 15 passes, is worth its price."""
+
+GROWTH = 4.0
+"""By so much steps grow until their errors show, where a tolerance chooses them."""
+
+EVEN_STEPS = 3
+"""Steps of that length then, so that derivatives come from past values as in a run."""
+
+FIRST, LAST = 1e-5, 1e-2
+"""The first of those steps, and the longest, as parts of the horizon."""
+
+ORDER = 2
+"""Of the couplings that are compared: with n passes a step, a coupling has steps n times as long
+as one with one pass has at its price, and an error n^2 times that."""
+
+MARGIN = 10.0
+"""By so much iterations must be better in a tried step, as others are not as they are in it: where
+solutions oscillate, errors of extrapolation cancel in part, and the first steps are no whole run.
+Over the coupling problems, those in which iterations were better by 10 to 400 times at the end were
+better by 20 to 90 in a tried step; where that was 4, they were worse by 4 to 8 at the end."""
+
+SEQUENCES = (Derivative(control="prediction"), Derivative("jacobi", "prediction"))
+"""Extrapolated inputs, with and without what components before have done in the same step."""
+
+
+class Trial:
+    """A few steps of a system, from its start.
+
+    Parameters
+    ----------
+    system : ResolvedSystem
+    experiment : Experiment
+        Its coupling is not looked at.
+
+    Attributes
+    ----------
+    lack : Lack or None
+        The first ability that was found to be missing; the trial ends there.
+    coupling : Coupling
+        The most accurate one, there once the trial is over.
+    why : str
+        Why it is that.
+    steps, calls : int
+        fmi2DoStep calls, and all fmi2 calls.
+    """
+
+    coupling: Coupling
+    why: str
+
+    def __init__(self, system: ResolvedSystem, experiment: Experiment) -> None:
+        self._system, self._experiment = system, experiment
+        declared = [member.description for member in system.members]
+        self._saves = all(d.can_get_and_set_state for d in declared)
+        cubic = all(system.input_order(link) == MAX_DERIVATIVE for link in system.links)
+        slopes = all(system.knows_derivative(link) for link in system.links)
+        self._able = self._saves and cubic and slopes
+        missing = [
+            text
+            for text, has in (
+                ("can save their state", self._saves),
+                ("take polynomials as inputs", cubic),
+                ("know derivatives of their outputs", slopes),
+            )
+            if not has
+        ]
+        self._missing = f"not all FMUs {' and '.join(missing)}"
+        step = experiment.step if experiment.tolerance is None else None
+        self._length = step
+        self._varies = step is None or not divides(
+            experiment.start_time, experiment.stop_time, step
+        )
+        self.lack: Lack | None = None
+        self.steps = self.calls = 0
+
+    def run(self, lender: SlavePool) -> None:
+        """Try the FMUs, and find the coupling; up to the first lack.
+
+        An FMU that fails otherwise than by an ability that it lacks leaves the choice to what is
+        declared: the run will say what fails.
+        """
+        try:
+            if self._system.links:
+                with self._begun(lender) as (session, jump):
+                    self._try_abilities(session.ensemble, jump)
+        except (SlaveError, SlaveTerminated, RunEnded) as error:
+            self.lack = self.lack or _lack_of(error, self._system)
+        if self.lack is None:
+            self._choose(lender)
+
+    @contextmanager
+    def _begun(self, lender: SlavePool) -> Iterator[tuple[Session, float]]:
+        """A session at the start time, and when the first jump is announced."""
+        experiment = self._experiment
+        start, stop = experiment.start_time, experiment.stop_time
+        with lender.lend(self._system.members) as slaves:
+            ensemble = Ensemble(
+                self._system, slaves, (), derivatives=True, slopes=False, events=True
+            )
+            columns = Columns(ensemble, (), latched=False)
+            session = Session(ensemble, Derivative(), columns, start, stop, None, None)
+            session.begin(self._system, (), None)
+            try:
+                session.initialise(slave_tolerance(experiment))
+                yield session, session.next_event(start)
+            finally:
+                self.calls += ensemble.calls
+
+    # -- abilities ------------------------------------------------------------------------------
+
+    def _try_abilities(self, ensemble: Ensemble, jump: float) -> None:
+        """One component of each FMU makes a step, and again from the saved state.
+
+        Raises
+        ------
+        SlaveError, SlaveTerminated
+            What an FMU refuses.
+        """
+        start, stop = self._experiment.start_time, self._experiment.stop_time
+        if self._length is None:
+            h = min(SHARE * (stop - start), BEFORE_JUMP * (jump - start))
+        else:
+            # Where lengths have to vary, a second step of half the length ends before the stop.
+            h = min(self._length, (stop - start) / (2.0 if self._varies else 1.0))
+        ensemble.C[:] = 0.0
+        ensemble.C[0] = ensemble.Y[ensemble.source]
+        known = ensemble.source_derivative != NO_DERIVATIVE
+        ensemble.C[1, known] = ensemble.Y[ensemble.source_derivative[known]]
+        tried = set()
+        for m, member in enumerate(self._system.members):
+            if self.lack is None and member.description.sha256 not in tried:
+                tried.add(member.description.sha256)
+                self._try_fmu(ensemble, m, start, h)
+
+    def _try_fmu(self, ensemble: Ensemble, m: int, start: float, h: float) -> None:
+        """What component m declares and the run may use: that its outputs have derivatives, that it
+        takes a second length, that its state is restored."""
+        saves = self._saves and (self._varies or self._able or self._feeds_back)
+        if not (saves or self._varies or self._able):
+            return
+        slave, before = ensemble.slaves[m], ensemble.Y.copy()
+        state = slave.save() if saves else None
+        self._step(ensemble, m, start, h)
+        after = ensemble.Y.copy()
+        self.lack = self._flat(ensemble, m, before, after)
+        if self.lack is not None:
+            return
+        if state is None:
+            if self._varies:
+                self._step(ensemble, m, start + h, h / 2.0, LENGTHS, REFUSED_LENGTH)
+            return
+        slave.restore(state)
+        if self._varies:
+            # A step of half the length shows both that the state is restored and that lengths may
+            # vary, where it ends between start and end of the whole one.
+            self._step(ensemble, m, start, h / 2.0, LENGTHS, REFUSED_LENGTH)
+            if self._is_half_way(ensemble, m, before, after):
+                return
+            slave.restore(state)
+        self._step(ensemble, m, start, h, STATES, "steps from a restored one are refused")
+        self.lack = self._unlike(ensemble, m, before, after)
+        self.calls += 3
+
+    def _step(
+        self,
+        ensemble: Ensemble,
+        m: int,
+        time: float,
+        length: float,
+        ability: str = "",
+        shown: str = "",
+    ) -> None:
+        """Component m over a step, its inputs as they are in C.
+
+        Raises
+        ------
+        SlaveError
+            Where the FMU refuses the step and `ability` is given, `lack` is set to it.
+        """
+        self.steps += 1
+        self.calls += 1 + ensemble.write_calls[m] + ensemble.read_calls[m]
+        slave = ensemble.slaves[m]
+        ensemble.write[m]()
+        try:
+            slave.step(time, length)
+        except SlaveError as error:
+            if ability and getattr(self._system.members[m].description, ability):
+                self.lack = Lack(slave.name, ability, f"{shown}: {error.message}")
+            raise
+        ensemble.read[m]()
+
+    def _outputs(self, ensemble: Ensemble, m: int) -> list[int]:
+        """The links that come from component m."""
+        return [k for k, link in enumerate(ensemble.links) if link.source == m]
+
+    def _flat(self, ensemble: Ensemble, m: int, before: Floats, after: Floats) -> Lack | None:
+        """Whether outputs change while the FMU says that none of their derivatives is other than
+        zero."""
+        own = [
+            k
+            for k in self._outputs(ensemble, m)
+            if ensemble.links[k].source_derivatives[0] is None
+            and ensemble.source_derivative[k] != NO_DERIVATIVE
+        ]
+        values, slopes = ensemble.source[own], ensemble.source_derivative[own]
+        change = np.abs(after[values] - before[values])
+        said = np.concatenate([before[slopes], after[slopes]])
+        moves = change > ROUNDING * (ensemble.nominal[own] + np.abs(before[values]))
+        if moves.any() and not said.any():
+            return Lack(ensemble.slaves[m].name, SLOPES, "all are zero while its outputs change")
+        return None
+
+    def _is_half_way(self, ensemble: Ensemble, m: int, before: Floats, after: Floats) -> bool:
+        """Whether a step of half the length has ended between start and end of the whole one."""
+        own = self._outputs(ensemble, m)
+        places = ensemble.source[own]
+        made, whole = ensemble.Y[places] - before[places], after[places] - before[places]
+        least = ROUNDING * (ensemble.nominal[own] + np.abs(after[places]))
+        low, high = HALF_WAY
+        share = np.divide(made, whole, out=np.full(len(own), 0.5), where=np.abs(whole) > least)
+        return bool(((share >= low) & (share <= high)).all())
+
+    def _unlike(self, ensemble: Ensemble, m: int, before: Floats, after: Floats) -> Lack | None:
+        """Whether a step from the restored state ends elsewhere than the first did, by more than a
+        share of what that changed."""
+        for k in self._outputs(ensemble, m):
+            place = ensemble.source[k]
+            off = abs(ensemble.Y[place] - after[place])
+            least = ROUNDING * (ensemble.nominal[k] + abs(after[place]))
+            if off > max(REPEATED * abs(after[place] - before[place]), least):
+                return Lack(
+                    ensemble.slaves[m].name,
+                    STATES,
+                    f"a step from a restored one ends with {ensemble.links[k].output.name} = "
+                    f"{ensemble.Y[place]:.6g} in place of {after[place]:.6g}",
+                )
+        return None
+
+    # -- the choice ------------------------------------------------------------------------------
+
+    @property
+    def _feeds_back(self) -> bool:
+        """Whether a component gets something from itself, or from one that steps after it."""
+        return any(link.source >= link.target for link in self._system.links)
+
+    def _choose(self, lender: SlavePool) -> None:
+        chosen = self._length is None
+        predicted = ", its steps chosen by how well inputs were predicted" if chosen else ""
+        derivative = SEQUENCES[0]
+        if not self._system.links and not chosen:
+            self.coupling, self.why = derivative, "no numbers are exchanged"
+            return
+        if self._able and (chosen or self._converges(lender)):
+            self.coupling = Hermite(jumps="pass")
+            self.why = (
+                "all FMUs can save their state, take polynomials as inputs and know derivatives "
+                "of their outputs"
+            )
+            return
+        if not self._feeds_back and not self._able:
+            self.coupling = Hermite(iterations=1, jumps="pass", control="prediction")
+            self.why = f"{self._missing}, and none feeds back to one before it{predicted}"
+            return
+        why = self._missing
+        if self._able:
+            why = f"iterations do not converge at a step of {self._length:g} s"
+        self.coupling, self.why = derivative, why + predicted
+        try:
+            measured = self._measured(lender, chosen=chosen)
+        except (SlaveError, SlaveTerminated, RunEnded):
+            return  # the run will say what fails
+        if measured is not None:
+            self.coupling, found = measured
+            self.why = f"{why}, and {found}{predicted}"
+
+    def _converges(self, lender: SlavePool) -> bool:
+        """Whether a fixed step of `hermite` does."""
+        assert self._length is not None
+        start, stop = self._experiment.start_time, self._experiment.stop_time
+        try:
+            with self._begun(lender) as (session, _):
+                stepper = Hermite().stepper(session.ensemble, session.exchange, None)
+                try:
+                    state = stepper.start(start, None)
+                    stepper.advance(state, start, min(start + self._length, stop))
+                finally:
+                    self._count(stepper)
+        except RunEnded:
+            return False
+        except (SlaveError, SlaveTerminated):
+            pass  # the run will say what fails
+        return True
+
+    def _measured(self, lender: SlavePool, *, chosen: bool) -> tuple[Coupling, str] | None:
+        """The coupling that is better than `derivative`, and why; None where that is best.
+
+        Raises
+        ------
+        SlaveError, SlaveTerminated, RunEnded
+        """
+        iterated = Hermite(jumps="pass", control="prediction")
+        if chosen:
+            ratio = self._chosen_steps(lender, iterated) if self._saves else None
+        else:
+            sequential, parallel = SEQUENCES
+            off, ratio = self._fixed_steps(lender, sequential, iterated)
+            if off > DOUBTFUL:
+                other, _ = self._fixed_steps(lender, parallel, None)
+                if other < min(off, 1.0):
+                    return parallel, (
+                        f"extrapolated inputs are {off / other:.2g} times nearer to their sources "
+                        "where components do not see the ends of each other's steps"
+                    )
+                if off > 1.0:
+                    return GaussSeidel(), "extrapolated inputs are worse than held ones"
+        if ratio is None or ratio < MARGIN:
+            return None
+        return iterated, (
+            f"{SEQUENCES[0].name} had {ratio:.2g} times its error in a tried step, at the same "
+            "number of fmi2DoStep calls"
+        )
+
+    def _fixed_steps(
+        self, lender: SlavePool, coupling: Derivative, iterated: Hermite | None
+    ) -> tuple[float, float | None]:
+        """How far inputs are from their sources, extrapolated over held, after some steps; and what
+        `_ratio` is there."""
+        start, stop = self._experiment.start_time, self._experiment.stop_time
+        assert self._length is not None
+        length = min(self._length, stop - start)
+        off, ratio = 0.0, None
+        with self._begun(lender) as (session, jump):
+            ensemble = session.ensemble
+            steps = step_count(start, stop, length)
+            count = int(min(PART * steps, MOST_STEPS, (min(stop, jump) - start) / length - 1.0))
+            stepper = coupling.stepper(ensemble, session.exchange, None)
+            state, time = stepper.start(start, None), start
+            held = extrapolated = np.zeros(len(ensemble.links))
+            try:
+                for k in range(count):
+                    value, slope = state.now
+                    state = stepper.advance(state, time, start + (k + 1) * length)
+                    time = start + (k + 1) * length
+                    if k >= count / 2:
+                        change = state.now[0] - value
+                        held = np.maximum(held, np.abs(change))
+                        extrapolated = np.maximum(extrapolated, np.abs(change - length * slope))
+            finally:
+                self._count(stepper)
+            scale = ensemble.nominal + np.abs(state.now[0])
+            if count >= SHOWN and held.any():
+                off = float((extrapolated / scale).max() / (held / scale).max())
+            if iterated is not None and self._saves and count >= SHOWN and steps >= WORTH:
+                ratio = self._ratio(session, iterated, state, time, length)
+        return off, ratio
+
+    def _chosen_steps(self, lender: SlavePool, iterated: Hermite) -> float | None:
+        """What `_ratio` is where steps have become as long as a tolerance allows."""
+        tolerance = self._experiment.tolerance
+        assert tolerance is not None
+        start, stop = self._experiment.start_time, self._experiment.stop_time
+        with self._begun(lender) as (session, jump):
+            ensemble = session.ensemble
+            stepper = SEQUENCES[0].stepper(ensemble, session.exchange, tolerance)
+            state, time = stepper.start(start, None), start
+            length, longest = FIRST * (stop - start), LAST * (stop - start)
+            try:
+                while True:
+                    trial = stepper.attempt(state, time, time + length)
+                    settle_discrete(ensemble, time + length)
+                    state, time = trial.state, time + length
+                    error = trial.error / tolerance
+                    if error >= DECIDED or GROWTH * length > longest:
+                        break
+                    length *= GROWTH
+                length /= math.sqrt(max(error, 1.0))
+                if (stop - start) / length < WORTH or time + (EVEN_STEPS + 1) * length >= jump:
+                    return None
+                for _ in range(EVEN_STEPS):
+                    state = stepper.advance(state, time, time + length)
+                    time += length
+            finally:
+                self._count(stepper)
+            return self._ratio(session, iterated, state, time, length)
+
+    def _ratio(
+        self, session: Session, iterated: Hermite, points: Points, time: float, length: float
+    ) -> float | None:
+        """The error of a step by `derivative` over that of iterations at the same price, from here;
+        None where these do not converge. What is true comes from two half steps."""
+        ensemble, tolerance = session.ensemble, self._experiment.tolerance
+        before, end, middle = ensemble.Y.copy(), time + length, time + length / 2.0
+        stepper = iterated.stepper(ensemble, session.exchange, tolerance)
+        single = SEQUENCES[0].stepper(ensemble, session.exchange, tolerance)
+        state = stepper.start(time, None)._replace(points=points)
+        ensemble.save()
+        try:
+            first = stepper.attempt(state, time, middle)
+            ensemble.level = 1
+            ensemble.save()
+            second = stepper.attempt(first.state, middle, end)
+            halves = ensemble.Y[ensemble.source]
+            ensemble.level = 0
+            ensemble.restore()
+            ensemble.Y[:] = before
+            # With what the halves have learnt of the loop, as in a run.
+            made = stepper.iterations
+            state = state._replace(J=second.state.J, length=second.state.length)
+            whole = stepper.attempt(state, time, end)
+            found = ensemble.Y[ensemble.source]
+            price = (stepper.iterations - made) ** ORDER
+            ensemble.restore()
+            ensemble.Y[:] = before
+            single.attempt(points, time, end)
+            predicted = ensemble.Y[ensemble.source]
+        finally:
+            self._count(stepper)
+            self._count(single)
+        if not all(math.isfinite(trial.error) for trial in (first, second, whole)):
+            return None
+        exact = halves + (halves - found) / (2.0**ORDER - 1.0)
+        scale = ensemble.nominal + np.abs(exact)
+        errors = [float((np.abs(v - exact) / scale).max()) for v in (predicted, found)]
+        return errors[0] / (errors[1] * price) if errors[1] > 0.0 else None
+
+    def _count(self, stepper: Stepper[Any]) -> None:
+        self.steps += stepper.iterations * len(self._system.members)
+        self.calls += stepper.iterations * stepper.calls_per_iteration
+
+
+def label(coupling: Coupling) -> str:
+    """The name of a coupling, with its sequence where that is not the usual one."""
+    if isinstance(coupling, Derivative) and coupling.sequence != Derivative.sequence:
+        return f"{coupling.name} ({coupling.sequence})"
+    return coupling.name
