@@ -120,12 +120,15 @@ class MetricSpec:
 class FigureSpec:
     """A figure: one panel per group of variables, ``|plant.x|`` for the norm of a group.
 
-    `span` is the part of the time axis to show, in seconds; None: all of it.
+    `span` is the part of the time axis to show, in seconds; None: all of it. `scale` is that of the
+    vertical axes: ``auto``, ``linear``, ``log`` or ``symlog``.
     """
 
     name: str
     panels: tuple[str, ...]
     span: tuple[float, float] | None = None
+    scale: str = "auto"
+    legend: bool = True
 
     @property
     def variables(self) -> tuple[str, ...]:

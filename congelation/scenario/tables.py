@@ -185,7 +185,8 @@ def _figure(section: Section) -> FigureSpec:
         raise section.wrong("panels", "at least one variable")
     if span and (len(span) != 2 or span[0] >= span[1]):
         raise section.wrong("span", "[start, stop] in seconds")
-    return FigureSpec(name, panels, (span[0], span[1]) if span else None)
+    shown = (span[0], span[1]) if span else None
+    return FigureSpec(name, panels, shown, read["scale"], read["legend"])
 
 
 def _check_figures(
