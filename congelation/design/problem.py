@@ -235,8 +235,8 @@ def problem_of(scenario: Scenario, variant: str) -> Problem:
     if found.sources:
         raise InvalidInput(
             f"{variant}: {', '.join(found.sources)} drives the loop, and this search moves "
-            "theta(t) alone, in a loop that nothing else drives; vary the FMUs' inputs instead, such as "
-            f"--vary {found.plant}.dtheta[1]=-1..1"
+            "theta(t) alone, in a loop that nothing else drives; vary the FMUs' inputs "
+            f"instead, such as --vary {found.plant}.dtheta[1]=-1..1"
         )
     bounds = np.array([profile.bounds() for profile in found.profiles], dtype=float)
     if not np.isfinite(bounds).all():
