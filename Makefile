@@ -114,6 +114,7 @@ bench-coupling: .venv/installed
 
 bench: fmus .venv-cofmupy/installed
 	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks.peers
 
 # The FMUs are fetched and built by the person who runs this; none of them is in the repository.
 corpus: .venv/installed
