@@ -45,6 +45,9 @@ STANDARD = (
     "disturbance2",
     "disturbed",
     "disturbed_output",
+    "tracking_radius",
+    "tracking_bound",
+    "tracking_structured",
     "wing_rock",
     "pendulum_length",
 )

@@ -167,6 +167,14 @@ FIGURE = Table(
         Key("name", "text", "name of its files: letters, digits, - and _", None, True),
         Key("panels", "texts", "one panel each: a variable, or |variable| for its norm", (), True),
         Key("span", "numbers", "[start, stop], the part of the time axis to show", (), unit="s"),
+        Key(
+            "scale",
+            "text",
+            "of the vertical axes; auto follows the ranges of the variants",
+            "auto",
+            choices=("auto", "linear", "log", "symlog"),
+        ),
+        Key("legend", "boolean", "whether curves are named above the panels", True),
     ),
 )
 

@@ -232,6 +232,12 @@ def problem_of(scenario: Scenario, variant: str) -> Problem:
             f"{variant}: its controller knows a part of theta(t), Upsilon(t) vartheta, which an "
             "attack would break; attack a variant without Upsilon"
         )
+    if found.sources:
+        raise InvalidInput(
+            f"{variant}: {', '.join(found.sources)} drives the loop, and this search moves "
+            "theta(t) alone, in a loop that nothing else drives; vary the FMUs' inputs "
+            f"instead, such as --vary {found.plant}.dtheta[1]=-1..1"
+        )
     bounds = np.array([profile.bounds() for profile in found.profiles], dtype=float)
     if not np.isfinite(bounds).all():
         raise InvalidInput(f"{variant}: theta(t) has no bounds; give a profile that has")

@@ -115,8 +115,15 @@ def draw(
     chosen = next(iter(figures), "") if name is None else name
     if chosen not in figures:
         raise InvalidInput(f"there is no figure '{chosen}'; {nearest(chosen, figures)}")
-    span = figures[chosen]["span"]
-    return draw_panels(runs, figures[chosen]["panels"], span or (-math.inf, math.inf), width)
+    about = figures[chosen]
+    return draw_panels(
+        runs,
+        about["panels"],
+        about["span"] or (-math.inf, math.inf),
+        width,
+        scale=about.get("scale", "auto"),  # not there in directories of earlier versions
+        legend=about.get("legend", True),
+    )
 
 
 def draw_panels(
@@ -124,10 +131,14 @@ def draw_panels(
     panels: Sequence[str],
     span: tuple[float, float] = (-math.inf, math.inf),
     width: float = WIDTH,
+    *,
+    scale: str = "auto",
+    legend: bool = True,
 ) -> Figure:
     """Panels above each other, one per group of variables, over a part of the time axis.
 
-    `width` is that of the figure in inches.
+    `width` is that of the figure in inches. `scale` is that of the vertical axes, ``linear``,
+    ``log`` or ``symlog``; ``auto`` follows the ranges of the variants.
     """
     import matplotlib as mpl
 
@@ -136,7 +147,8 @@ def draw_panels(
         for r, trajectory in runs
     ]
     with mpl.rc_context(SETTINGS):
-        return _draw([run for run in shown if len(run.trajectory.time)], panels, width)
+        with_rows = [run for run in shown if len(run.trajectory.time)]
+        return _draw(with_rows, panels, width, scale, legend=legend)
 
 
 def save(
@@ -162,7 +174,9 @@ def save(
     return files
 
 
-def _draw(runs: Sequence[_Run], panels: Sequence[str], width: float) -> Figure:
+def _draw(
+    runs: Sequence[_Run], panels: Sequence[str], width: float, scale: str, *, legend: bool
+) -> Figure:
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
 
@@ -176,13 +190,13 @@ def _draw(runs: Sequence[_Run], panels: Sequence[str], width: float) -> Figure:
         found = _norms(runs, panel) if _is_norm(panel) else _curves(runs, panel)
         curves = _without_repeats(list(found))
         drawn |= {curve.variant for curve in curves}
-        _panel(axis, panel, curves, variants)
+        _panel(axis, panel, curves, variants, scale, legend=legend)
     axes[-1].set_xlabel(with_unit("$t$", "s"))
     start = min((float(run.trajectory.time[0]) for run in runs), default=0.0)
     stop = max((float(run.trajectory.time[-1]) for run in runs), default=0.0)
     if stop > start:
         axes[-1].set_xlim(start, stop)
-    if len(drawn) > 1:
+    if legend and len(drawn) > 1:
         handles = [
             Line2D([], [], color="black", linestyle=_style(variants, v), label=v) for v in variants
         ]
@@ -244,7 +258,15 @@ def _same(a: _Curve, b: _Curve) -> bool:
     )
 
 
-def _panel(axis: Axes, panel: str, curves: Sequence[_Curve], variants: Sequence[str]) -> None:
+def _panel(
+    axis: Axes,
+    panel: str,
+    curves: Sequence[_Curve],
+    variants: Sequence[str],
+    scale: str,
+    *,
+    legend: bool,
+) -> None:
     from matplotlib.lines import Line2D
 
     units = {curve.label: curve.unit for curve in curves}
@@ -257,15 +279,19 @@ def _panel(axis: Axes, panel: str, curves: Sequence[_Curve], variants: Sequence[
             axis.fill_between(curve.time, low, high, color=colour, alpha=0.2, linewidth=0.0)
         if not curve.completed:  # a cross where the run ended
             axis.plot(curve.time[-1:], curve.values[-1:], color=colour, marker="x", clip_on=False)
-    if _is_norm(panel):
+    if _is_norm(panel) and scale in ("auto", "log"):
         _logarithmic(axis, curves)
+    elif scale == "log":
+        axis.set_yscale("log", nonpositive="mask")
     else:
-        _scale(axis, curves)
+        _scale(axis, curves, scale)
     common_unit = next(iter(units.values())) if len(set(units.values())) == 1 else ""
     if len(labels) < 2:  # none where no run got as far as a first row
         axis.set_ylabel(with_unit(labels[0], common_unit) if labels else panel)
         return
     axis.set_ylabel(with_unit(math_label(panel.partition(".")[2]), common_unit))
+    if not legend:
+        return
     handles = [
         Line2D(
             [],
@@ -329,12 +355,12 @@ def first_scale(
     return ("symlog" if apart else "linear"), threshold
 
 
-def _scale(axis: Axes, curves: Sequence[_Curve]) -> None:
-    """A symmetric logarithmic axis where the variants differ by orders of magnitude."""
-    mode, threshold = first_scale([(curve.variant, curve.values) for curve in curves])
-    if mode == "linear":
+def _scale(axis: Axes, curves: Sequence[_Curve], scale: str) -> None:
+    """A linear axis, or a symmetric logarithmic one: if asked for, or for far apart variants."""
+    suggested, threshold = first_scale([(curve.variant, curve.values) for curve in curves])
+    peak = max((float(np.max(np.abs(c.values), initial=0.0)) for c in curves), default=0.0)
+    if (suggested if scale == "auto" else scale) == "linear" or peak == 0.0:
         return
-    peak = max(float(np.max(np.abs(curve.values), initial=0.0)) for curve in curves)
     lowest = round(math.log10(threshold))
     highest = math.floor(math.log10(peak))
     axis.set_yscale("symlog", linthresh=threshold, linscale=1.0)

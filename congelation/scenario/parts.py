@@ -42,6 +42,10 @@ def replaced(table: Mapping[str, Any], given: Mapping[str, object]) -> dict[str,
     return {key: value for key, value in table.items() if key not in gone} | dict(given)
 
 
+MOST_ROWS = 1e8
+"""Rows of a run: each takes 8 bytes a column."""
+
+
 def agreed(values: Mapping[str, Any], place: Callable[[str], str]) -> Experiment:
     """The experiment, after checking that its keys agree with each other.
 
@@ -67,6 +71,12 @@ def agreed(values: Mapping[str, Any], place: Callable[[str], str]) -> Experiment
         raise InvalidInput(f"{place('step')} is missing; give a time in seconds, or a tolerance")
     if values["output_every"] is not None and values["output_interval"] is not None:
         raise InvalidInput(f"{place('output_every')} and output_interval exclude each other")
+    interval = values["output_interval"]
+    if interval is not None and (stop - start) / interval > MOST_ROWS:
+        raise InvalidInput(
+            f"{place('output_interval')} = {interval:g} asks for {(stop - start) / interval:.3g} "
+            f"rows of a run; give {(stop - start) / MOST_ROWS:g} or more"
+        )
     try:
         experiment = Experiment(**values)
     except InvalidInput as error:
@@ -110,12 +120,15 @@ class MetricSpec:
 class FigureSpec:
     """A figure: one panel per group of variables, ``|plant.x|`` for the norm of a group.
 
-    `span` is the part of the time axis to show, in seconds; None: all of it.
+    `span` is the part of the time axis to show, in seconds; None: all of it. `scale` is that of the
+    vertical axes: ``auto``, ``linear``, ``log`` or ``symlog``.
     """
 
     name: str
     panels: tuple[str, ...]
     span: tuple[float, float] | None = None
+    scale: str = "auto"
+    legend: bool = True
 
     @property
     def variables(self) -> tuple[str, ...]:

@@ -220,6 +220,8 @@ class Scenario:
                     "name": f.name,
                     "panels": _plain(f.panels),
                     **({} if f.span is None else {"span": _plain(f.span)}),
+                    "scale": f.scale,
+                    "legend": f.legend,
                 }
                 for f in self.figures
             ],

@@ -193,7 +193,8 @@ def _spaced(section: Section, kind: str, numbers: tuple[float, ...]) -> list[flo
         len(numbers) == 3 and numbers[2] == int(numbers[2]) and 2 <= numbers[2] <= keys.MOST_RUNS
     )
     if not valid or numbers[0] == numbers[1]:
-        raise section.wrong(kind, "[first, last, count] with two ends and a count of at least 2")
+        counts = f"a count from 2 to {keys.MOST_RUNS}"
+        raise section.wrong(kind, f"[first, last, count] with two ends and {counts}")
     first, last, count = numbers[0], numbers[1], int(numbers[2])
     if kind == "logspace":
         if not (first > 0.0 and last > 0.0):

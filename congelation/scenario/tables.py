@@ -81,19 +81,28 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
         "measured": measured,
         "warnings": (
             *_doubtful(resolved, document.file),
-            *_without_values(metrics, experiment, given, document.file),
+            *_past_the_end(metrics, experiment, given, document.file),
             *_forgotten(resolved, {*given, *left_open, *reader.driven}, document.file),
         ),
     }
 
 
-def _without_values(
+def _past_the_end(
     metrics: Sequence[MetricSpec], experiment: Experiment, given: Collection[str], file: str
 ) -> Iterator[str]:
-    """A line for each metric of times after the end of every run."""
+    """A line for a step that is longer than every run, and for each metric of later times."""
+    if f"{EXPERIMENT}.stop_time" in given:
+        return
+    horizon, step = experiment.stop_time - experiment.start_time, experiment.step
+    fixed = experiment.tolerance is None and f"{EXPERIMENT}.step" not in given
+    if fixed and step is not None and step > horizon:
+        yield (
+            f"{file}: {EXPERIMENT}.step = {step:g} is longer than the run, {horizon:g} s, which is "
+            "one step"
+        )
     for found in metrics:
         after = found.options.get("after", -math.inf)
-        if after > experiment.stop_time and f"{EXPERIMENT}.stop_time" not in given:
+        if after > experiment.stop_time:
             yield (
                 f"{file}: metrics.{found.name}.after = {after:g} is past stop_time = "
                 f"{experiment.stop_time:g}: the metric has no value"
@@ -176,7 +185,8 @@ def _figure(section: Section) -> FigureSpec:
         raise section.wrong("panels", "at least one variable")
     if span and (len(span) != 2 or span[0] >= span[1]):
         raise section.wrong("span", "[start, stop] in seconds")
-    return FigureSpec(name, panels, (span[0], span[1]) if span else None)
+    shown = (span[0], span[1]) if span else None
+    return FigureSpec(name, panels, shown, read["scale"], read["legend"])
 
 
 def _check_figures(

@@ -9,14 +9,15 @@ from __future__ import annotations
 import ast
 import math
 import operator
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
+import numpy as np
 
 from congelation.errors import InvalidInput, nearest
 
-__all__ = ["parse", "parse_of_time"]
+__all__ = ["known_variations", "parse", "parse_of_time"]
 
 _FUNCTIONS: dict[str, Callable[[ca.SX], ca.SX]] = {
     name: getattr(ca, name) for name in ("sin", "cos", "tan", "exp", "log", "sqrt", "tanh")
@@ -136,3 +137,33 @@ def _function(name: str, formula: _Formula) -> Callable[[ca.SX], ca.SX]:
     if name not in _FUNCTIONS:
         raise InvalidInput(f"'{formula.text}' holds '{name}'; {nearest(name, _FUNCTIONS)}")
     return _FUNCTIONS[name]
+
+
+def known_variations(rows: Sequence[Sequence[str]], p: int, n: int, t: ca.SX) -> ca.SX:
+    """Upsilon(t), shape (p, q), of theta(t) = Upsilon(t) vartheta + .., from its formulas.
+
+    Raises
+    ------
+    InvalidInput
+        Formulas that are no p rows of one length, or that have no n derivatives at t = 0.
+    """
+    if len(rows) != p or len({len(row) for row in rows}) != 1:
+        sizes = ", ".join(str(len(row)) for row in rows)
+        raise InvalidInput(
+            f"Upsilon has {len(rows)} rows of {sizes} formulas; valid: a row for each of the "
+            f"{p} elements of theta, all of one length"
+        )
+    parsed = [[parse_of_time(text, t) for text in row] for row in rows]
+    for texts, row in zip(rows, parsed, strict=True):
+        for text, formula in zip(texts, row, strict=True):
+            derivatives = [formula]
+            for _ in range(n):
+                derivatives.append(ca.jacobian(derivatives[-1], t))
+            (values,) = ca.substitute([ca.densify(ca.vertcat(*derivatives))], [t], [0])
+            # CasADi makes |t| of sqrt(t**2), and gives it the slope 0 at 0.
+            if "fabs" in str(formula) or not np.isfinite(np.asarray(ca.DM(values))).all():
+                raise InvalidInput(
+                    f"Upsilon holds {text}, which has not {n} derivatives at t = 0; the law needs "
+                    "them: give a smooth function (docs/theory.md, 'Structured variations')"
+                )
+    return ca.vertcat(*(ca.horzcat(*row) for row in parsed))

@@ -163,6 +163,8 @@ def test_what_cannot_be_attacked_is_said_in_one_line() -> None:
         attack(FIG2, objectives=["peaks"])
     with pytest.raises(InvalidInput, match="'Controller 3' is no variant"):
         attack(scenario, variants=["Controller 3"])
+    with pytest.raises(InvalidInput, match=r"reference drives the loop.*--vary plant\.dtheta"):
+        attack(ROOT / "scenarios" / "tracking.toml", variants=["steps"])
 
 
 def test_command_writes_a_scenario(tmp_path: Path) -> None:

@@ -103,6 +103,32 @@ KEYS = (
         r"experiment\.step",
     ),
     Mutation(
+        "more rows than are kept",
+        _to(
+            "step = 0.01", lambda r: f"step = 0.01\noutput_interval = {10.0 ** r.uniform(-300, -9)}"
+        ),
+        2,
+        r"experiment\.output_interval = .* asks for .* rows of a run",
+    ),
+    Mutation(
+        "open and driven",
+        _to("title =", lambda r: f'open = ["{r.choice(["plant.u", "controller.x"])}"]\ntitle ='),
+        2,
+        r"open: '.*' is driven by '.* -> .*'; leave one of them out",
+    ),
+    Mutation(
+        "axis of what a variant sets",
+        _to(
+            "[[figures]]",
+            lambda r: (
+                '[sweep]\n[[sweep.axes]]\nset = "controller.damping"\n'
+                f"values = [{r.choice(['true', 'false', 'true, false'])}]\n[[figures]]"
+            ),
+        ),
+        2,
+        r"sweep\.axes\[1\]\.set sets 'controller\.damping', which the variant 'Controller 1' sets",
+    ),
+    Mutation(
         "tolerance",
         _to("step = 0.01", lambda r: f"tolerance = {r.uniform(1, 9)!r}"),
         2,

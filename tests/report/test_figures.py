@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from congelation.errors import InvalidInput
 from congelation.results.figures import draw_panels, save
 from congelation.results.record import Trajectory
-from tests.report.stored import record, stored, stored_failures, trajectory
+from tests.report.stored import record, results, stored, stored_failures, trajectory
 
 
 @pytest.fixture
@@ -118,6 +118,28 @@ def test_figures_have_the_width_and_formats_asked_for(tmp_path: Path) -> None:
     assert 'width="360pt"' in svg  # 5 in
     assert "<dc:date>" not in svg
     assert b"/Type3" not in files[1].read_bytes()
+
+
+def test_scale_and_legend_are_those_asked_for(tmp_path: Path) -> None:
+    """u of the two variants peaks at 1000 and 1, which by itself makes its axis symlog."""
+    runs = [(record("r1", 1), trajectory(1000.0)), (record("r2", 2), trajectory(1.0))]
+    panels = ["controller.u", "plant.x", "|plant.x|"]
+    for scale, expected in {
+        "auto": ["symlog", "linear", "log"],
+        "linear": ["linear"] * 3,
+        "symlog": ["symlog"] * 3,
+        "log": ["log"] * 3,
+    }.items():
+        figure = draw_panels(runs, panels, scale=scale)
+        figure.draw_without_rendering()
+        assert [axes.get_yscale() for axes in figure.axes] == expected, scale
+    bare = draw_panels(runs, panels, legend=False)
+    assert not bare.legends
+    assert not any(axes.get_legend() for axes in bare.axes)
+    figures = [{"name": "f", "panels": panels, "span": None, "scale": "linear", "legend": False}]
+    kept = results(tmp_path, runs, figures=figures).plot("f")
+    assert [axes.get_yscale() for axes in kept.axes] == ["linear"] * 3
+    assert not kept.legends
 
 
 @pytest.mark.parametrize("width", [2.5, 3.5, 7.0])

@@ -120,6 +120,25 @@ def test_a_metric_of_times_after_the_end_is_named(tmp_path: Path) -> None:
     assert load_scenario(write(tmp_path, SCALAR, change, ("[[figures]]", axis))).warnings == ()
 
 
+def test_a_step_longer_than_the_run_is_named(tmp_path: Path) -> None:
+    change = ("step = 0.01", "step = 1.5")
+    file = write(tmp_path, SCALAR, change)
+    (warning,) = load_scenario(file).warnings
+    assert (
+        warning == f"{file}: experiment.step = 1.5 is longer than the run, 1 s, which is one step"
+    )
+    first = ("step = 0.01", "step = 1.5\ntolerance = 1e-4")  # the first step is tried
+    assert load_scenario(write(tmp_path, SCALAR, first)).warnings == ()
+
+
+def test_more_rows_than_a_machine_keeps_are_refused(tmp_path: Path) -> None:
+    change = ("step = 0.01", "step = 0.01\noutput_interval = 1e-9")
+    with pytest.raises(
+        InvalidInput, match="output_interval = 1e-09 asks for 1e\\+09 rows of a run"
+    ):
+        load_scenario(write(tmp_path, SCALAR, change))
+
+
 def test_shipped_fmus_say_which_inputs_are_left_alone(tmp_path: Path) -> None:
     """der(.) and dtheta are optional: nothing is said of them."""
     assert load_scenario(write(tmp_path)).warnings == ()

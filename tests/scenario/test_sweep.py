@@ -319,6 +319,12 @@ MISTAKES = {
         "linspace = [1, 1, 3]",
         "sweep.axes[4].linspace = [1, 1, 3] is not valid",
     ),
+    "linspace of too many": (
+        "values = [1, 2]",
+        "linspace = [1, 2, 1000000000]",
+        "sweep.axes[4].linspace = [1, 2, 1000000000] is not valid; give [first, last, count] with "
+        "two ends and a count from 2 to 1048576",
+    ),
     "logspace of a negative end": (
         "values = [1, 2]",
         "logspace = [-1, 2, 3]",

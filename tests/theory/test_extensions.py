@@ -148,7 +148,7 @@ def violated(loop):
 @pytest.mark.parametrize(("n", "p"), [(1, 2), (2, 2), (3, 2)])
 def test_without_the_damping_of_the_reference_it_fails(monkeypatch, n, p):
     monkeypatch.setattr(
-        state_feedback, "_tracking_damping", lambda symbols, rbar: ca.SX(1, rbar[0].shape[1])
+        state_feedback, "reference_damping", lambda symbols, rbar: ca.SX(1, rbar[0].shape[1])
     )
     assert violated(random_loop(n, n, p, TRACKING, delta=2.0, epsilon_r=0.3))
 
@@ -156,7 +156,7 @@ def test_without_the_damping_of_the_reference_it_fails(monkeypatch, n, p):
 @pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2), (4, 2)])
 def test_without_the_damping_of_the_disturbance_it_fails(monkeypatch, n, p):
     monkeypatch.setattr(
-        state_feedback, "_disturbance_damping", lambda symbols, m: ca.SX(1, m[0].shape[1])
+        state_feedback, "disturbance_damping", lambda symbols, m: ca.SX(1, m[0].shape[1])
     )
     assert violated(random_loop(n, n, p, DISTURBED, epsilon_d=0.3))
 
@@ -341,7 +341,7 @@ def test_the_rate_of_the_known_variations_has_to_be_in_the_law(monkeypatch, n, p
         return [*rows, ca.SX(*t.shape)]
 
     monkeypatch.setattr(state_feedback, "_gradient", without)
-    monkeypatch.setattr(state_feedback, "_time_factor", lambda design: design.symbols.row())
+    monkeypatch.setattr(state_feedback, "time_factor", lambda symbols, steps: symbols.row())
     options = Options(Upsilon=(("1", "sin(30*t)"), ("cos(20*t)", "1"), ("0", "sin(9*t)"))[:p])
     assert violated(random_loop(n, n, p, options, delta=0.0, damping=0.0))
 
@@ -364,7 +364,7 @@ def factor_defect():
 def test_the_factors_hold_the_rate_of_the_known_variations(monkeypatch):
     """Lemma 1 with the row E_i, which the damping (26) is made of."""
     assert factor_defect() < 1e-12
-    monkeypatch.setattr(state_feedback, "_time_factor", lambda design: design.symbols.row())
+    monkeypatch.setattr(state_feedback, "time_factor", lambda symbols, steps: symbols.row())
     assert factor_defect() > 1e-3
 
 

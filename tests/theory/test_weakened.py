@@ -26,7 +26,7 @@ from .systems import (
 
 WEAKENED = ["whole", "half", "tenth", "none", "off-diagonal", "g_ii", "delta", "first", "last"]
 SHARES = {"half": 0.5, "tenth": 0.1, "none": 0.0}
-STATE_DAMPING, OUTPUT_DAMPING = state_feedback._damping, output_feedback._damping
+STATE_DAMPING, OUTPUT_DAMPING = state_feedback.parameter_damping, output_feedback._damping
 
 
 def state_damping(kind):
@@ -87,7 +87,7 @@ def largest_by_20(phibar, parameters, kind):
 @pytest.mark.parametrize("kind", WEAKENED)
 @pytest.mark.parametrize(("n", "p", "seed"), [(2, 2, 0), (3, 2, 1), (3, 3, 2), (4, 2, 1)])
 def test_weakened_state_feedback_is_caught(monkeypatch, n, p, seed, kind):
-    monkeypatch.setattr(state_feedback, "_damping", state_damping(kind))
+    monkeypatch.setattr(state_feedback, "parameter_damping", state_damping(kind))
     rng = np.random.default_rng(seed)
     phibar = random_phibar(rng, n, p)
     parameters = random_state_feedback_parameters(rng, n, p)

@@ -20,6 +20,13 @@ LAWS = {
     "UnknownRadius": {},
     "Nonlinear": {},
     "Structured": {},
+    "TrackingRadius": {"yr[0]": 1.0},
+    "TrackingBound": {"yr[0]": 1.0},
+    "TrackingStructured": {"yr[0]": 1.0},
+    "WingRock": {},
+    "PendulumLength": {},
+    # About the origin: the radius is that of theta about 0, and leakage pulls towards it.
+    "Matched": {"delta": 4.0, "sigma": 0.1},
 }
 
 
