@@ -14,7 +14,7 @@ help:
 	@echo "make system-packages-further   the same for test-platforms and fuzz"
 	@echo "make test-platforms   native FMUs for Windows and ARM, run in emulators; installs ziglang and, as root, wine64 and qemu-user"
 	@echo "make test-fast   the tests that are not marked slow"
-	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each, ten minutes each of mutations and of calls of native FMUs, every rule on every FMU"
+	@echo "make fuzz    the property-based tests marked fuzz, with 1,000 fresh examples each, ten minutes each of mutations and of calls of native FMUs (random, by libFuzzer), every rule on every FMU, test-platforms"
 	@echo "make check   format, lint, types, import layers"
 	@echo "make bench   benchmarks; the table goes to docs/benchmarks.md"
 	@echo "make bench-coupling   error bars, work and precision on problems with known solutions"
@@ -114,6 +114,7 @@ bench-coupling: .venv/installed
 
 bench: fmus .venv-cofmupy/installed
 	$(BIN)/python -m benchmarks
+	$(BIN)/python -m benchmarks.peers
 
 # The FMUs are fetched and built by the person who runs this; none of them is in the repository.
 corpus: .venv/installed

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from benchmarks.loop import Component, Loop, variables
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Case
 
-__all__ = ["VARIANT", "Figure", "figure"]
+__all__ = ["VARIANT", "Figure", "figure", "native"]
 
 SCENARIOS = Path(__file__).absolute().parent.parent / "scenarios"
 VARIANT = "Controller 1"
@@ -61,6 +61,18 @@ def figure(name: str) -> Figure:
         if f"{owner}.{variable.partition('[')[0]}" in wanted
     )
     return Figure(case, Loop(name, components, connections, record))
+
+
+def native(found: Figure) -> Figure:
+    """The same figure with the native twins."""
+    folder = SCENARIOS.parent / "fmus" / "native"
+    loop = replace(
+        found.loop,
+        components=tuple(
+            replace(c, fmu=str(folder / Path(c.fmu).name)) for c in found.loop.components
+        ),
+    )
+    return replace(found, loop=loop)
 
 
 def _changed(fmu: Path, start: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from time import process_time
 
-from benchmarks.cases import figure
+from benchmarks.cases import figure, native
 from benchmarks.engines.ours import coupled_system
 from benchmarks.markdown import duration, table, verdict
 from benchmarks.sweep_job import Cost, measured, resident
@@ -45,7 +45,7 @@ class LongRun:
 
 
 def measure(steps: int, every: int) -> LongRun:
-    """Fig. 2, Controller 1, held inputs, in a process of its own."""
+    """Fig. 2, Controller 1, native FMUs, held inputs, in a process of its own."""
     return LongRun(steps, every, measured("benchmarks.long_run", str(steps), str(every)))
 
 
@@ -80,7 +80,7 @@ def _run(steps: int, every: int, file: Path) -> dict[str, object]:
 
     from congelation.cosim import Output, ParquetFile, simulate
 
-    loop = figure("fig2").loop
+    loop = native(figure("fig2")).loop
     memory: list[dict[str, float]] = []
     begin = process_time()
 

@@ -23,14 +23,14 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow.parquet
 
-from congelation.cosim.choice import Lack
+from congelation.cosim.choice import Lack, without
 from congelation.cosim.coupling import Coupling, Hermite
 from congelation.cosim.coupling.interpolant import HIGH, LOW
 from congelation.cosim.experiment import Experiment, slave_tolerance, step_count
 from congelation.cosim.recording import Output
 from congelation.cosim.result import Result, Statistics
 from congelation.cosim.sinks import Memory, ParquetFile, Sink
-from congelation.cosim.system import System
+from congelation.cosim.system import MAX_DERIVATIVE, System
 
 __all__ = ["Again", "Ahead", "At", "divided"]
 
@@ -281,10 +281,8 @@ class Ahead:
         self._possible = (
             experiment.tolerance is None
             and len(os.sched_getaffinity(0)) >= PROCESSORS
-            # The process knows the classes of this package alone, and not yet which order `hermite`
-            # can have in this system.
+            # The process knows the classes of this package alone.
             and type(coupling).__module__.startswith("congelation.")
-            and not isinstance(coupling, Hermite)
         )
 
     @property
@@ -314,7 +312,7 @@ class Ahead:
         rows = Path(self._folder.name, ROWS)
         request = (
             self._system,
-            tightened(experiment, 1),
+            tightened(experiment, LOW if self._is_exact() else 1),
             Output(interval=self._output.interval, sink=ParquetFile(rows)),
             points[1:].tolist(),
             self._lacks,
@@ -331,6 +329,14 @@ class Ahead:
         assert self._process.stdin is not None
         pickle.dump(request, self._process.stdin)
         self._process.stdin.flush()
+
+    def _is_exact(self) -> bool:
+        """Whether `hermite` has exact derivatives to follow in this system, and may follow them."""
+        system = without(self._system.resolve(), self._lacks)
+        return all(
+            system.input_order(link) == MAX_DERIVATIVE and system.knows_derivative(link)
+            for link in system.links
+        )
 
     def ended(self, kept: At) -> Result | None:
         """How the run in the process ended, its rows given to `kept`; None where it did not."""

@@ -32,6 +32,9 @@ PROGRESS_PERIOD = 0.1
 LOOK_PERIOD = 2.0
 """Seconds over which the pace of a run is measured."""
 
+FIRST_CHUNK = 16
+"""Steps that the compiled loop makes before progress is looked at for the first time."""
+
 COLLAPSED = 1e5
 """Remaining steps above which the steps of a run count as collapsed."""
 
@@ -308,7 +311,9 @@ class Session:
     @property
     def most(self) -> int:
         """Steps that the compiled loop may make at once, those taken back included."""
-        return int(max(1, min(CHUNK, self._max_steps - self.steps - self.rejected)))
+        left = self._max_steps - self.steps - self.rejected
+        # Few at first: where each step takes long, progress is to be known soon.
+        return int(max(1, min(CHUNK, left, max(FIRST_CHUNK, self.steps))))
 
     def report(self, fraction: float) -> None:
         """Report progress, if anyone listens."""

@@ -1,10 +1,4 @@
-"""Error bars: a run is made again with all of its steps halved, and the difference becomes bands.
-
-The difference of two runs whose errors are c h^p and c (h / 2)^p is (2^p - 1) / 2^p of the error of
-the first one (Richardson; Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I,
-section II.4). It passes through zero where the error does not, as when an oscillation lags: a band
-is therefore laid over its maxima.
-"""
+"""Error bars: a run is made again with every step halved, and the difference becomes bands."""
 
 from __future__ import annotations
 
@@ -17,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.again import Again, Ahead, At, divided
+from congelation.cosim.bands import bands, error_name, window_maxima
 from congelation.cosim.choice import Lack, chosen
 from congelation.cosim.coupling import Auto, Derivative, Hermite, ModelExchange
 from congelation.cosim.experiment import Experiment, slave_tolerance
@@ -27,7 +22,7 @@ from congelation.cosim.sinks import Memory
 from congelation.cosim.system import Recorded, System
 from congelation.errors import InvalidInput
 
-__all__ = ["TRUST", "bands", "error_name", "trusted", "variable_of"]
+__all__ = ["TRUST", "trusted"]
 
 Floats = npt.NDArray[np.float64]
 Mask = npt.NDArray[np.bool_]
@@ -35,21 +30,11 @@ Mask = npt.NDArray[np.bool_]
 TRUST = ("order", "probe")
 """What may be asked for besides the bands."""
 
-WINDOW = 0.01
-"""Of the horizon, to either side: so far the largest difference counts."""
-
-MARGIN = 1.5
-"""What a band is wider than the error that the difference suggests."""
-
-NEAR_PEAK, AT_PEAK = 0.5, 1.2
-"""From this share of the peak on, a difference counts less and less as an extrapolation has it; at
-the peak, it is the error but for this factor."""
-
 STARTING = 4
 """Intervals after the start in which extrapolation by derivatives that come from history is of
 order 1. (`hermite` makes ends agree by iterations, so it has its order from the start.)"""
 
-JITTER = 2.0
+JITTER = 1.3
 """What a band is wider where something switches: delays of up to a step add up at random."""
 
 FLOOR = 1e-8
@@ -80,85 +65,6 @@ ROWS_PER_LEVEL = 8
 
 SEEN = 2.0
 """The probe sees an inner step where it is off by so many bands."""
-
-
-def error_name(variable: str) -> str:
-    """The column of a variable's band."""
-    return f"error({variable})"
-
-
-def variable_of(column: str) -> str:
-    """The variable that a column is of: itself, or that of the band."""
-    name = column.removeprefix("error(")
-    return column if name == column else name.removesuffix(")")
-
-
-# -- bands ----------------------------------------------------------------------------------------
-
-
-def bands(
-    time: Floats, difference: Floats, order: float | Floats, peaks: Floats | None = None
-) -> Floats:
-    """Bands around the values of a run.
-
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Increasing.
-    difference : array, shape (N, M)
-        To the values of a run with half the step.
-    order : float or array, of a shape that extends to (N, M)
-        Power p of the step with which the error falls.
-    peaks : array, shape (M,), optional
-        Of the variables. A difference near the peak is most of the error, as values stay bounded.
-
-    Returns
-    -------
-    array, shape (N, M)
-        Largest error suggested by the difference within `WINDOW` of the horizon, and where that is
-        less, lines through its local maxima; times `MARGIN`.
-    """
-    factor = np.broadcast_to(2.0**order / (2.0**order - 1.0), difference.shape)
-    if peaks is not None:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            size = np.nan_to_num(np.abs(difference) / peaks, nan=0.0)
-        large = np.clip((size - NEAR_PEAK) / (1.0 - NEAR_PEAK), 0.0, 1.0)
-        factor = factor + large * (np.minimum(factor, AT_PEAK) - factor)
-    error = np.abs(difference) * factor
-    highest = _window_maxima(time, error)
-    return MARGIN * np.column_stack(
-        [np.maximum(column, _over_maxima(time, column)) for column in highest.T]
-    )
-
-
-def _window_maxima(time: Floats, values: Floats) -> Floats:
-    """The largest of values, shape (N, M), within the window around each time."""
-    # A little wider, so that a row at its very end counts wherever times are rounded to.
-    width = (1.0 + 1e-6) * WINDOW * (time[-1] - time[0])
-    first = np.searchsorted(time, time - width, "left")
-    after = np.searchsorted(time, time + width, "right")
-    # Maxima over 2^k rows from each row on; two of them cover any number of rows.
-    level, found, length = 0, np.zeros_like(values), after - first
-    table = values
-    while True:
-        here = (length >= 2**level) & (length < 2 ** (level + 1))
-        found[here] = np.maximum(table[first[here]], table[after[here] - 2**level])
-        if 2 ** (level + 1) > length.max():
-            return found
-        table = np.maximum(table[: -(2**level)], table[2**level :])
-        level += 1
-
-
-def _over_maxima(time: Floats, values: Floats) -> Floats:
-    """The lines through the local maxima of values, shape (N,), and through both ends."""
-    rises, falls = np.ones(len(values), bool), np.ones(len(values), bool)
-    rises[1:], falls[:-1] = values[1:] >= values[:-1], values[:-1] >= values[1:]
-    places = np.flatnonzero(rises & falls)
-    places = np.unique([0, *places, len(values) - 1])
-    return np.interp(time, time[places], values[places])
-
-
-# -- runs -----------------------------------------------------------------------------------------
 
 
 def trusted(
@@ -327,7 +233,7 @@ def _judged(
     # What is not resolved stays so: in chaos, a small difference later on is chance.
     lost = np.logical_or.accumulate(found > ROUGH * peaks)
     found = np.where(lost, np.maximum.accumulate(found), found)
-    found[:, switched] = _window_maxima(time, difference[:, switched])
+    found[:, switched] = window_maxima(time, difference[:, switched])
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num(found.max(axis=0) / peaks, nan=0.0)
     relative[switched] = (difference[:, switched] > 0.0).mean(axis=0)

@@ -19,8 +19,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from congelation.cosim.bands import error_name
 from congelation.cosim.result import Status
-from congelation.cosim.trust import error_name
 from congelation.errors import InvalidInput, nearest
 from congelation.places import replace_whole
 from congelation.results.labels import math_label, with_unit

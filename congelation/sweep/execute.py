@@ -6,11 +6,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from congelation.cosim.bands import variable_of
 from congelation.cosim.master import perform
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
 from congelation.cosim.result import Result
-from congelation.cosim.trust import trusted, variable_of
+from congelation.cosim.trust import trusted
 from congelation.errors import CongelationError, InvalidInput
 from congelation.fmi.calls import CALLS
 from congelation.fmi.description import describe

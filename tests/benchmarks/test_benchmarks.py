@@ -8,8 +8,9 @@ import pytest
 from benchmarks import __main__ as command
 from benchmarks import studies
 from benchmarks.accuracy import Held, error_of
-from benchmarks.cases import figure
+from benchmarks.cases import figure, native
 from benchmarks.exact import Exact
+from benchmarks.peers.equation import Equation
 from benchmarks.timing import Timing, interleaved, median_ratio
 from benchmarks.workers import EngineError, Worker
 
@@ -56,6 +57,18 @@ def test_page_has_the_markers_of_every_part() -> None:
 def test_studies_run() -> None:
     whole, outside = studies.in_one_process(2)
     assert whole > outside > 0.0
+
+
+@pytest.mark.slow
+def test_compiled_solvers_meet_the_exact_solution(tmp_path: Path) -> None:
+    """DOP853 on the functions of the native FMUs, as it is compared with; nothing is fetched."""
+    shipped = figure("fig2")
+    equation = Equation(native(shipped), tmp_path, peers=())
+    rows = equation.rows(equation.run("DOP853", 1e-9))
+    rows = rows[rows[:, 0] <= 1.0]
+    exact = Exact(shipped, 1.0)
+    assert equation.methods == ("DOP853",)
+    assert error_of(rows, exact.values(rows[:, 0])) < 1e-8
 
 
 @pytest.mark.parametrize("engine", ["fmpy_loop", "fmpy_ssp", "libcosim", "ecos", "cofmupy"])

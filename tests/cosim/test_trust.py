@@ -8,9 +8,10 @@ import pytest
 
 from benchmarks.coupling.problems import Problem, problem
 from congelation.cosim import Component, Output, ParquetFile, Status, System, again, simulate
+from congelation.cosim.bands import MARGIN, bands, error_name, variable_of
 from congelation.cosim.experiment import Experiment
 from congelation.cosim.master import perform
-from congelation.cosim.trust import FLOOR, MARGIN, bands, error_name, trusted, variable_of
+from congelation.cosim.trust import FLOOR, trusted
 from congelation.errors import InvalidInput
 
 
@@ -90,16 +91,20 @@ def test_rows_of_their_own_times_get_bars_as_well(parts, tmp_path):
     assert every.trust.error == pytest.approx(result.trust.error, rel=0.1)
 
 
-def test_a_second_process_finds_the_same(parts, monkeypatch):
-    found = problem("relay")
-    alone = run(found, parts, "held", "jacobi", step=0.02, trust=True)
+@pytest.mark.parametrize(
+    ("name", "ability", "coupling"),
+    [("relay", "held", "jacobi"), ("ladder", "full", "hermite"), ("ladder", "state", "hermite")],
+)
+def test_a_second_process_finds_the_same(parts, monkeypatch, name, ability, coupling):
+    found = problem(name)
+    alone = run(found, parts, ability, coupling, step=0.02, trust=True)
     monkeypatch.setattr(again, "LOOKED_AT", 0.0)
     monkeypatch.setattr(again, "WORTH", 0.0)
     monkeypatch.setattr(again, "PROCESSORS", 1)
     started = []
     start = again.Ahead._start
     monkeypatch.setattr(again.Ahead, "_start", lambda self: (started.append(self), start(self)))
-    beside = run(found, parts, "held", "jacobi", step=0.02, trust=True)
+    beside = run(found, parts, ability, coupling, step=0.02, trust=True)
     assert len(started) == 1
     assert (beside.values == alone.values).all()
     assert beside.trust.line == alone.trust.line
@@ -140,7 +145,7 @@ def test_steps_without_a_switch_make_no_band_of_late_switches(parts):
     found_bands = result.trust.bands[:, :2]
     assert (found_bands >= error).mean(axis=0).min() > 0.95
     assert (found_bands.max(axis=0) >= error.max(axis=0)).all()
-    assert result.trust.verdicts[:2] == ("rough", "rough")  # of errors of 2 %
+    assert result.trust.verdicts[:2] == ("rough", "resolved")  # of errors of 2 %
 
 
 def test_a_second_run_that_fails_leaves_the_first_with_its_error_unknown(parts):

@@ -22,6 +22,9 @@ CHECKED = ("ObserverFormPlant", "OutputFeedbackController", "Reference", "Delay"
 FLAGS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 CALLS = 20_000
 REMEDY = "make system-packages-further installs it"
+in_fuzz = pytest.mark.skipif(
+    "CONGELATION_FUZZ_SECONDS" not in os.environ, reason="it takes long; make fuzz runs it"
+)
 # Debian's packages of a version call it by that.
 CLANG = shutil.which("clang") or shutil.which("clang-14")
 
@@ -69,6 +72,7 @@ def test_the_sanitizers_find_nothing(programs: dict[str, Path], name: str) -> No
 
 @pytest.mark.fuzz
 @pytest.mark.slow
+@in_fuzz
 @pytest.mark.skipif(
     shutil.which("valgrind") is None,
     reason=f"there is no valgrind; {REMEDY}",
@@ -83,13 +87,14 @@ def test_valgrind_finds_nothing(tmp_path: Path) -> None:
 
 @pytest.mark.fuzz
 @pytest.mark.slow
+@in_fuzz
 @pytest.mark.skipif(CLANG is None, reason=f"there is no clang with libFuzzer; {REMEDY}")
 @pytest.mark.parametrize("name", CHECKED)
 def test_libfuzzer_finds_nothing(tmp_path: Path, name: str) -> None:
     """Sequences of calls and values grow by what reaches new code."""
     flags = ("-g", "-O1", "-DLIBFUZZER", "-fsanitize=fuzzer,address,undefined")
     program = compiled(tmp_path, name, (*flags, "-fno-sanitize-recover=all"), str(CLANG))
-    seconds = float(os.environ.get("CONGELATION_FUZZ_SECONDS", "4")) / len(CHECKED)
+    seconds = float(os.environ["CONGELATION_FUZZ_SECONDS"]) / len(CHECKED)
     limits = [f"-max_total_time={max(round(seconds), 1)}", "-max_len=4000", "-timeout=60"]
     done = subprocess.run(
         [program, *limits], cwd=tmp_path, capture_output=True, text=True, check=False

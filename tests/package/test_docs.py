@@ -86,7 +86,7 @@ def test_no_page_is_wider_than_its_window(site: Path) -> None:
         window = browser.new_page()
         for page in pages:
             window.goto(page.absolute().as_uri(), wait_until="domcontentloaded")
-            for width in (*WIDTHS, 1400):  # from 1400 on there is room for both side bars
+            for width in (WIDTHS[0], 1400):  # a phone; room for both side bars
                 window.set_viewport_size({"width": width, "height": 900})
                 if window.evaluate("document.documentElement.scrollWidth > innerWidth"):
                     too_wide.append((page.name, width))

@@ -1,0 +1,1 @@
+"""The compiled loop and native FMUs against other programs: ``python -m benchmarks.peers``."""
