@@ -142,7 +142,7 @@ def _check_bounds(certificate: Certificate) -> None:
             "in output feedback V does not bound the filters, from which u is made; there is no "
             "level set of V on which |u| <= umax"
         )
-    if loop.external:
+    if loop.opened("reference").numel():
         raise InvalidInput(
             "V does not bound the reference, from which u is made; there is no level set of V on "
             "which |u| <= umax"
