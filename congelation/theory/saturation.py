@@ -98,26 +98,7 @@ def largest_level(
         raise InvalidInput(f"umax = {umax!r} is not valid; give a positive number")
     loop = certificate.loop
     ell = np.asarray(ell, dtype=float)
-    if any(state.variables.name == "lambda" for state in loop.controller.states):
-        raise InvalidInput(
-            "in output feedback V does not bound the filters, from which u is made; there is no "
-            "level set of V on which |u| <= umax"
-        )
-    if loop.external:
-        raise InvalidInput(
-            "V does not bound the reference, from which u is made; there is no level set of V on "
-            "which |u| <= umax"
-        )
-    if loop.controller.Upsilon is not None:
-        raise InvalidInput(
-            "V does not bound Upsilon(t), from which u is made; there is no level set of V on "
-            "which |u| <= umax"
-        )
-    if not certificate.residue.is_zero():
-        raise InvalidInput(
-            "the claim has a residue, so that V may grow and leave its level sets; give a law "
-            "without one (switching leakage, projection)"
-        )
+    _check_bounds(certificate)
     Y, X = certificate.coordinates.Y, certificate.coordinates.X
     states, _ = loop.arguments
     u = loop.bound_signal("controller.u")
@@ -142,25 +123,8 @@ def largest_level(
         rays = [certificate.coordinates.draw(generator) for _ in range(RAYS)]
         found = [point for ray in rays for point in _crossings(u_of, umax, bottom, ray)]
         best = sorted(found, key=V_of)[:DESCENTS]
-        for point in list(best):
-            side = math.copysign(1.0, u_of(point))
-            surface = scipy.optimize.NonlinearConstraint(
-                lambda y, side=side: side * u_of(y) / umax - 1.0,
-                0.0,
-                math.inf,
-                jac=lambda y, side=side: side * slope(y, ell)[size:] / umax,
-            )
-            unit = V_of(point)
-            descent = scipy.optimize.minimize(
-                lambda y, unit=unit: V_of(y) / unit,
-                point,
-                jac=lambda y, unit=unit: slope(y, ell)[:size] / unit,
-                constraints=[surface],
-                method="SLSQP",
-                options={"maxiter": 500, "ftol": 1e-14},
-            )
-            if abs(u_of(descent.x)) >= umax * (1.0 - NEAR) and math.isfinite(V_of(descent.x)):
-                best.append(descent.x)
+        descents = [_descended(value, slope, umax, ell, point) for point in best]
+        best += [point for point in descents if point is not None]
     begin = np.asarray(start, dtype=float)
     at_start = certificate.at(begin, ell).V
     if not best:
@@ -168,6 +132,56 @@ def largest_level(
     lowest = min(best, key=V_of)
     names = dict(zip(loop.state_names, drawn(lowest, ell).tolist(), strict=True))
     return Level(umax, V_of(lowest), names, at_start)
+
+
+def _check_bounds(certificate: Certificate) -> None:
+    """Refuse a loop in which no level set of V bounds u, or V may leave its level sets."""
+    loop = certificate.loop
+    if any(state.variables.name == "lambda" for state in loop.controller.states):
+        raise InvalidInput(
+            "in output feedback V does not bound the filters, from which u is made; there is no "
+            "level set of V on which |u| <= umax"
+        )
+    if loop.opened("reference").numel():
+        raise InvalidInput(
+            "V does not bound the reference, from which u is made; there is no level set of V on "
+            "which |u| <= umax"
+        )
+    if loop.controller.Upsilon is not None:
+        raise InvalidInput(
+            "V does not bound Upsilon(t), from which u is made; there is no level set of V on "
+            "which |u| <= umax"
+        )
+    if not certificate.residue.is_zero():
+        raise InvalidInput(
+            "the claim has a residue, so that V may grow and leave its level sets; give a law "
+            "without one (switching leakage, projection)"
+        )
+
+
+def _descended(
+    value: Compiled, slope: Compiled, umax: float, ell: Vector, point: Vector
+) -> Vector | None:
+    """The point of the surface |u| = umax with the least V near to a given one; None: not found."""
+    V, u = value(point, ell)
+    side, size = math.copysign(1.0, u), point.size
+    surface = scipy.optimize.NonlinearConstraint(
+        lambda y: side * value(y, ell)[1] / umax - 1.0,
+        0.0,
+        math.inf,
+        jac=lambda y: side * slope(y, ell)[size:] / umax,
+    )
+    descent = scipy.optimize.minimize(
+        lambda y: value(y, ell)[0] / V,
+        point,
+        jac=lambda y: slope(y, ell)[:size] / V,
+        constraints=[surface],
+        method="SLSQP",
+        options={"maxiter": 500, "ftol": 1e-14},
+    )
+    V, u = value(descent.x, ell)
+    reached = abs(u) >= umax * (1.0 - NEAR) and math.isfinite(V)
+    return np.asarray(descent.x) if reached else None
 
 
 def _crossings(
