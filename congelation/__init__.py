@@ -38,7 +38,7 @@ if TYPE_CHECKING:
         Sampled,
     )
     from congelation.cosim.experiment import Experiment
-    from congelation.cosim.info import Info, info
+    from congelation.cosim.pair_info import Info, info
     from congelation.design.attack import attack
     from congelation.design.tune import tune
     from congelation.errors import CongelationError, InvalidInput, SlaveError
@@ -106,7 +106,7 @@ _PLACES: Mapping[str, str] = {
     "Experiment": "cosim.experiment:Experiment",
     "GaussSeidel": "cosim.coupling:GaussSeidel",
     "Hermite": "cosim.coupling:Hermite",
-    "Info": "cosim.info:Info",
+    "Info": "cosim.pair_info:Info",
     "InvalidInput": "errors:InvalidInput",
     "Jacobi": "cosim.coupling:Jacobi",
     "MetricSpec": "scenario.parts:MetricSpec",
@@ -127,7 +127,7 @@ _PLACES: Mapping[str, str] = {
     "check": "conformance.runner:check",
     "examples": "export.examples:copy_examples",
     "export_ssp": "scenario.ssp:write_ssp",
-    "info": "cosim.info:info",
+    "info": "cosim.pair_info:info",
     "load_scenario": "scenario.load:load_scenario",
     "new": "export.examples:write_starter",
     "open_results": "results.results:open_results",

@@ -20,7 +20,7 @@ import numpy as np
 from benchmarks.coupling.problems import Problem
 from benchmarks.coupling.work import PREDICTABLE
 from congelation.cosim import Coupling, Derivative, Result, simulate
-from congelation.cosim.trust import MOST_LEVELS
+from congelation.cosim.error_bars import MOST_LEVELS
 
 __all__ = ["LIMIT", "Chosen", "measure", "table"]
 

@@ -23,13 +23,13 @@ from congelation.results.identity import code_version
 __all__ = ["app", "main"]
 
 _COMMANDS: Mapping[str, str] = {
-    "new": "cli.designs",
-    "examples": "cli.designs",
-    "build": "cli.designs",
-    "info": "cli.designs",
-    "certify": "cli.designs",
-    "attack": "cli.design",
-    "tune": "cli.design",
+    "new": "cli.specs",
+    "examples": "cli.specs",
+    "build": "cli.specs",
+    "info": "cli.specs",
+    "certify": "cli.specs",
+    "attack": "cli.searches",
+    "tune": "cli.searches",
     "run": "cli.runs",
     "sweep": "cli.runs",
     "report": "cli.results",

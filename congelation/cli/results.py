@@ -29,12 +29,12 @@ from congelation.report.comparison import (
     verdict,
     write_comparison,
 )
-from congelation.report.exchange import write_csv, write_mat
-from congelation.report.html import write_html
+from congelation.report.other_formats import write_csv, write_mat
 from congelation.report.pareto import draw_front, pareto_front
+from congelation.report.run_page import write_html
 from congelation.report.summary import number, summarise_groups
-from congelation.report.table import aligned
-from congelation.results.figures import FORMATS, save
+from congelation.report.text_table import aligned
+from congelation.results.print_figures import FORMATS, save
 from congelation.results.results import open_results
 from congelation.sweep.plan import FAILURES
 
@@ -46,7 +46,7 @@ Directory = Annotated[
 
 SMALLEST, LARGEST = 2.0, 40.0  # inches: axes fit into the first, a poster is the second
 
-PAGE, COMPARISON = "report.html", "comparison.html"
+PAGE, COMPARISON = "report.run_page", "comparison.html"
 """Names of the pages in a result directory; a comparison is in the last one that it compares."""
 
 Directories = Annotated[

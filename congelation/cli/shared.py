@@ -18,7 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from congelation.report.summary import summarise
-from congelation.results.figures import WIDTH, save
+from congelation.results.print_figures import WIDTH, save
 from congelation.results.results import Results
 
 __all__ = [

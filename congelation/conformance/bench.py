@@ -293,7 +293,7 @@ class Bench:
         return Library(path, self._tape)
 
     def elsewhere(self, task: str, *, directory: Path | None = None, argument: str = "") -> str:
-        """Do a task of `congelation.conformance.child` in another process.
+        """Do a task of `congelation.conformance.child_main` in another process.
 
         Raises
         ------
@@ -311,7 +311,7 @@ class Bench:
             able=replace(self.job.able, again="", beside="", reference=""),
         )
         done = subprocess.run(
-            [sys.executable, "-m", "congelation.conformance.child", str(job.saved())],
+            [sys.executable, "-m", "congelation.conformance.child_main", str(job.saved())],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.DEVNULL,

@@ -20,12 +20,12 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import TracebackType
 
+from congelation.conformance.accepted import is_pythonfmu, limit_of
 from congelation.conformance.binding import Tape
-from congelation.conformance.children import Children
+from congelation.conformance.child_processes import Children
 from congelation.conformance.finding import Verdict, verdict_of
 from congelation.conformance.host import ending
 from congelation.conformance.job import Ability, Job, binary_path, platform_folder
-from congelation.conformance.known import is_pythonfmu, limit_of
 from congelation.conformance.rule import (
     CO_SIMULATION,
     DEFAULT_TIME_LIMIT,

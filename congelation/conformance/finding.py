@@ -47,7 +47,7 @@ class Verdict:
 
 
 def verdict_of(rule: Rule, report: Mapping[str, Any]) -> Verdict:
-    """The verdict that a child left as JSON (`congelation.conformance.child`)."""
+    """The verdict that a child left as JSON (`congelation.conformance.child_main`)."""
     return Verdict(
         rule,
         Outcome[report["outcome"]],

@@ -11,8 +11,8 @@ from collections.abc import Iterator, Sequence
 from importlib.resources import as_file, files
 from pathlib import Path
 
+from congelation.conformance.accepted import is_pythonfmu
 from congelation.conformance.bench import Bench
-from congelation.conformance.known import is_pythonfmu
 from congelation.conformance.rule import NotApplicable, Violated
 from congelation.conformance.trajectory import demand, same
 

@@ -55,7 +55,7 @@ class Job:
     module : str
         Where the rule is.
     task, argument : str
-        A task of `congelation.conformance.child` and its argument.
+        A task of `congelation.conformance.child_main` and its argument.
     directory : str
         The unzipped FMU.
     companion : str

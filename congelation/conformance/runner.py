@@ -12,14 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
+from congelation.conformance.accepted import Accepted, read_known
 from congelation.conformance.checker import Checker
 from congelation.conformance.finding import FmuReport, Report, Verdict, merged
-from congelation.conformance.known import Accepted, read_known
 from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Outcome, Rule
 from congelation.conformance.rules import RULES
 from congelation.conformance.subject import DESCRIPTION
 from congelation.errors import InvalidInput, nearest
-from congelation.fmi.archive import require_no_other_kind
+from congelation.fmi.unpack import require_no_other_kind
 
 __all__ = ["check", "select"]
 
@@ -92,7 +92,7 @@ def check(
     static : bool
         Only the rules that look at the archive and its XML.
     known : Path or str, optional
-        A TOML file of accepted findings (`congelation.conformance.known.read_known`).
+        A TOML file of accepted findings (`congelation.conformance.accepted.read_known`).
     jobs : int, optional
         How many rules to run at the same time; as many as there are processors unless given.
     time_limit : float

@@ -14,6 +14,7 @@ from congelation.cosim.choice import Lack, chosen, without
 from congelation.cosim.coupling import Auto, Coupling, ModelExchange
 from congelation.cosim.coupling.model_exchange import Smooth
 from congelation.cosim.ensemble import Ensemble
+from congelation.cosim.error_bars import trusted
 from congelation.cosim.experiment import (
     Experiment,
     require_abilities,
@@ -29,7 +30,6 @@ from congelation.cosim.session import Progress, Session
 from congelation.cosim.sinks import Memory, Recorder
 from congelation.cosim.stepping import run_adaptive, run_fixed
 from congelation.cosim.system import Recorded, ResolvedSystem, System
-from congelation.cosim.trust import trusted
 from congelation.errors import InvalidInput, SlaveError
 from congelation.fmi.slave import Slave, SlaveTerminated
 

@@ -112,7 +112,7 @@ class Statistics:
 
 @dataclass(frozen=True, eq=False)
 class Trust:
-    """How far the values of a run may be off, see `congelation.cosim.trust`.
+    """How far the values of a run may be off, see `congelation.cosim.error_bars`.
 
     Parameters
     ----------

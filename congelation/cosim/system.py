@@ -13,7 +13,7 @@ from pathlib import Path
 
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import Description, Variable, describe
-from congelation.fmi.start import StartValue, resolve_start
+from congelation.fmi.start_values import StartValue, resolve_start
 from congelation.fmi.units import Conversion, conversion
 
 __all__ = [

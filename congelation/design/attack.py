@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
 
+from congelation.design.attack_problem import Problem, problem_of
+from congelation.design.derivative_free import maximise
 from congelation.design.finds import (
     DIFFERENCE,
     Attack,
@@ -25,9 +27,7 @@ from congelation.design.finds import (
     judged,
     solved_again,
 )
-from congelation.design.free import maximise
-from congelation.design.late import SETTLED, strikes
-from congelation.design.problem import Problem, problem_of
+from congelation.design.late_strike import SETTLED, strikes
 from congelation.design.search import Search
 from congelation.design.shooting import Cells, Path, Shooting
 from congelation.errors import InvalidInput, nearest

@@ -15,7 +15,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from congelation.design.problem import Problem, Varied
+from congelation.design.attack_problem import Problem, Varied
 from congelation.design.shooting import Cells
 from congelation.errors import InvalidInput
 from congelation.scenario.metrics import metric

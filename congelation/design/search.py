@@ -18,7 +18,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from congelation.design.problem import Admissible
+from congelation.design.attack_problem import Admissible
 from congelation.design.shooting import Cells, Path, Shooting
 
 __all__ = ["Candidate", "Search"]

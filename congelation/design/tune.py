@@ -27,7 +27,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from congelation.design.candidates import OBJECTIVES, Bench, Candidates
+from congelation.design.tuning_candidates import OBJECTIVES, Evaluator, Candidates
 from congelation.errors import InvalidInput
 from congelation.export.assumptions import spec_assumptions
 from congelation.signals import box_radius
@@ -173,12 +173,12 @@ def tune(
     True
     """
     spec = Path(spec)
-    bench = Bench(spec, below, stop_time)
-    own = bench.exact(np.zeros(bench.dimension))
+    evaluator = Evaluator(spec, below, stop_time)
+    own = evaluator.exact(np.zeros(evaluator.dimension))
     # A design that does not settle is asked to do so by the stop time.
     asked = (min(own[0], stop_time), *own[1:])
     wanted = _wishes(wishes, asked)
-    with Candidates(bench, workers, out, resume) as candidates:
+    with Candidates(evaluator, workers, out, resume) as candidates:
 
         def count() -> None:
             progress(min(len(candidates.solved), evaluations), evaluations)
@@ -190,7 +190,7 @@ def tune(
         raise InvalidInput(f"{spec}: no candidate could be solved for {stop_time:g} s")
     values = np.array([o for _, o in points])
     front = [points[i][0] for i in _front(values, wanted, proposals)]
-    proposed = [_proposal(bench, v) for v in front]
+    proposed = [_proposal(evaluator, v) for v in front]
     certified = [p for p in proposed if p.certified] or proposed
     nearest = min(
         certified, key=lambda p: _achievement([p.objectives[n] for n in OBJECTIVES], wanted)
@@ -243,7 +243,7 @@ def _descend(
     }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the strategy's advice on its options
-        strategy = cma.CMAEvolutionStrategy(np.zeros(candidates.bench.dimension), 0.5, options)
+        strategy = cma.CMAEvolutionStrategy(np.zeros(candidates.evaluator.dimension), 0.5, options)
         done = 0
         while done < evaluations and not strategy.stop():
             asked = [tuple(np.round(v, 4).tolist()) for v in strategy.ask()]
@@ -253,13 +253,13 @@ def _descend(
             strategy.tell([list(v) for v in asked], [_achievement(o, goal) for o in found])
 
 
-def _proposal(bench: Bench, vector: Floats) -> Proposal:
-    loop = bench.loop(vector)
-    remarks = spec_assumptions(bench.spec)
-    design = Design(bench.spec.title, loop, box_radius(bench.profiles), remarks)
-    own = bench.own
-    changed = {n: v for n, v in bench.values(vector).items() if (v != own[n]).any()}
-    objectives = dict(zip(OBJECTIVES, bench.exact(vector), strict=True))
+def _proposal(evaluator: Evaluator, vector: Floats) -> Proposal:
+    loop = evaluator.loop(vector)
+    remarks = spec_assumptions(evaluator.spec)
+    design = Design(evaluator.spec.title, loop, box_radius(evaluator.profiles), remarks)
+    own = evaluator.own
+    changed = {n: v for n, v in evaluator.values(vector).items() if (v != own[n]).any()}
+    objectives = dict(zip(OBJECTIVES, evaluator.exact(vector), strict=True))
     return Proposal(changed, objectives, certify_design(design, CERTIFY_SAMPLES).holds)
 
 

@@ -19,11 +19,11 @@ from xml.etree import ElementTree
 from pythonfmu.builder import FmuBuilder, get_model_description
 
 from congelation.errors import CongelationError, DesignWarning, InvalidInput
-from congelation.export.archive import write_archive
 from congelation.export.assumptions import spec_warnings
-from congelation.export.c_code import controller_code
+from congelation.export.embedded_c import controller_code
 from congelation.export.model_description import complete
-from congelation.export.native import native_fmu
+from congelation.export.native_fmu import native_fmu
+from congelation.export.pack import write_archive
 from congelation.export.platforms import Platform, chosen_platforms
 from congelation.export.spec import BlockSpec, FmuSpec, Spec, read_buildable
 from congelation.export.stage import Staged, stage

@@ -18,8 +18,8 @@ import fmpy
 from lxml import etree
 
 from congelation.errors import InvalidInput, nearest
-from congelation.fmi.archive import DAMAGED, check_archive, require_no_other_kind
 from congelation.fmi.units import BASE, Unit, unit_named
+from congelation.fmi.unpack import DAMAGED, check_archive, require_no_other_kind
 
 __all__ = ["ANNOTATION", "Description", "Equations", "Variable", "describe"]
 

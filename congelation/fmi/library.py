@@ -19,8 +19,8 @@ from fmpy.fmi2 import fmi2CallbackFreeMemoryTYPE as FreeMemory
 from fmpy.logging import addLoggerProxy
 
 from congelation.errors import InvalidInput
-from congelation.fmi.archive import unpack_archive
 from congelation.fmi.description import Description
+from congelation.fmi.unpack import unpack_archive
 
 __all__ = [
     "DISCARD",

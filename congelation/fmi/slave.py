@@ -19,7 +19,7 @@ from congelation.errors import SlaveError
 from congelation.fmi.calls import CALLS
 from congelation.fmi.description import Description, Variable
 from congelation.fmi.library import DISCARD, FATAL, STATUS_NAMES, WARNING, Log, load
-from congelation.fmi.start import StartValue
+from congelation.fmi.start_values import StartValue
 
 __all__ = ["TERMINATE", "DiscreteStates", "Slave", "SlaveTerminated", "State", "StepDiscarded"]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from congelation.places import replace_whole, shipped
-from congelation.report.page import lines_of, opening, pairs, plain_page, table, tile
+from congelation.report.page_shell import lines_of, opening, pairs, plain_page, table, tile
 from congelation.report.summary import number
 from congelation.results.identity import code_version
 from congelation.verify.certify import Certification, Verdict

@@ -10,7 +10,7 @@ from congelation.conformance.finding import Finding, FmuReport, Report, Verdict
 from congelation.conformance.report import words_of
 from congelation.conformance.rule import Level, Outcome
 from congelation.places import replace_whole
-from congelation.report.page import opening, pairs, plain_page, table, tile
+from congelation.report.page_shell import opening, pairs, plain_page, table, tile
 from congelation.results.identity import code_version
 
 __all__ = ["write_conformance"]

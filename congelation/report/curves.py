@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from congelation.report.page import Drawn, swatch
+from congelation.report.page_shell import Drawn, swatch
 from congelation.report.summary import short
-from congelation.results.figures import first_scale
 from congelation.results.labels import plain_unit
+from congelation.results.print_figures import first_scale
 from congelation.results.record import STRETCHES, Trajectory, thin
 from congelation.scenario.metrics import norm
 

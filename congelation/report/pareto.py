@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from congelation.errors import InvalidInput, nearest
-from congelation.results.figures import SETTINGS
 from congelation.results.labels import with_unit
+from congelation.results.print_figures import SETTINGS
 from congelation.results.record import RunRecord, Study
 
 if TYPE_CHECKING:
@@ -55,7 +55,7 @@ def draw_front(study: Study, metrics: Sequence[str]) -> Figure:
     InvalidInput
         If there are not two metrics, or no such metric.
     """
-    import matplotlib as mpl  # here, as in congelation.results.figures
+    import matplotlib as mpl  # here, as in congelation.results.print_figures
     from matplotlib.figure import Figure
 
     if len(metrics) != 2:

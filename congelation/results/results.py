@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import InvalidInput, nearest
-from congelation.results.figures import WIDTH, draw, draw_panels
+from congelation.results.print_figures import WIDTH, draw, draw_panels
 from congelation.results.record import GROUPS, RunRecord, Study, Trajectory
 from congelation.results.store import Store
 

@@ -31,7 +31,7 @@ from congelation.scenario.parts import (
     Variant,
     agreed,
 )
-from congelation.scenario.tables import read_scenario
+from congelation.scenario.read_tables import read_scenario
 from congelation.toml import Section
 
 __all__ = [

@@ -11,7 +11,7 @@ from pathlib import Path
 from congelation import keys
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import Description
-from congelation.fmi.start import resolve_start
+from congelation.fmi.start_values import resolve_start
 from congelation.fmi.units import Conversion, conversion
 from congelation.scenario.parts import EXPERIMENT, Experiment, Scalar, agreed
 from congelation.signals import Profile, ProfileError, Slots, sizes_of_flat

@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from congelation.cosim.bands import variable_of
+from congelation.cosim.error_bars import trusted
 from congelation.cosim.master import perform
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
 from congelation.cosim.result import Result
-from congelation.cosim.trust import trusted
 from congelation.errors import CongelationError, InvalidInput
 from congelation.fmi.calls import CALLS
 from congelation.fmi.description import describe
@@ -198,7 +198,7 @@ def _simulated(
     margins = [metrics[m.name] for m in scenario.metrics if m.metric == "lyapunov"]
     deviations = compare(expected, kept) if expected is not None else ()
     if margins and job.trajectories:
-        from congelation.verify.lyapunov import CERTIFICATE, with_certificate  # as above
+        from congelation.verify.along_run import CERTIFICATE, with_certificate  # as above
 
         if CERTIFICATE not in found:  # a component may have the name
             kept = with_certificate(measured_case, kept)

@@ -397,7 +397,7 @@ def _complete(scenario: Scenario) -> Scenario:
     if not loops:
         return scenario
     # Here, as it brings CasADi, which scenarios without such a metric do without.
-    from congelation.verify.lyapunov import loop_states
+    from congelation.verify.along_run import loop_states
 
     try:
         states = loop_states(scenario.case({}))

@@ -77,28 +77,28 @@ class Points(Sink):
 def lyapunov(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
     """The largest relative margin of the Lyapunov certificate along the run."""
     # Here, as it brings CasADi, whose import the workers of other studies do without.
-    from congelation.verify.lyapunov import along
+    from congelation.verify.along_run import along
 
     return along(case, time, columns, values).worst
 
 
 def lyapunov_share(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
     """How much of what the certificate allows the run has used."""
-    from congelation.verify.lyapunov import MOST_INTEGRATED, along
+    from congelation.verify.along_run import MOST_INTEGRATED, along
 
     return along(case, time, columns, values, MOST_INTEGRATED).share
 
 
 def ultimate_bound(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
     """What the certificate says that V ends below."""
-    from congelation.verify.lyapunov import along
+    from congelation.verify.along_run import along
 
     return along(case, time, columns, values).ultimate
 
 
 def ultimate_share(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
     """The largest V of the run, each against its bound at that time."""
-    from congelation.verify.lyapunov import along
+    from congelation.verify.along_run import along
 
     return along(case, time, columns, values).ultimate_share
 

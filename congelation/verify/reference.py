@@ -27,7 +27,7 @@ from congelation.errors import CongelationError, InvalidInput
 from congelation.export.forms import BLOCKS, fit, models_of
 from congelation.export.interface import start_names
 from congelation.fmi.description import describe
-from congelation.fmi.start import resolve_start
+from congelation.fmi.start_values import resolve_start
 from congelation.results.record import Trajectory
 from congelation.scenario.parts import Case, Experiment, Scalar
 from congelation.signals import Profile

@@ -12,8 +12,8 @@ import pytest
 from scipy.io import loadmat
 
 from congelation.errors import InvalidInput
-from congelation.report.exchange import matlab_name, write_mat
-from congelation.report.table import aligned
+from congelation.report.other_formats import matlab_name, write_mat
+from congelation.report.text_table import aligned
 from congelation.results.results import Results
 from congelation.sweep.engine import run
 from tests.report.stored import record, results, trajectory

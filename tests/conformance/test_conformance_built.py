@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from congelation.conformance.known import LIMITS
+from congelation.conformance.accepted import LIMITS
 from congelation.conformance.rule import Outcome, StaticRule
 from congelation.conformance.rules import RULES
 from congelation.conformance.runner import check

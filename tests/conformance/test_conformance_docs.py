@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from congelation.conformance.known import LIMITS
+from congelation.conformance.accepted import LIMITS
 from congelation.conformance.rules import RULES
 
 PAGE = Path(__file__).parents[2] / "docs" / "conformance.md"

@@ -10,9 +10,9 @@ from pathlib import Path
 import lag
 import pytest
 
+from congelation.conformance.accepted import LIMITS
 from congelation.conformance.checker import Checker
 from congelation.conformance.finding import FmuReport
-from congelation.conformance.known import LIMITS
 from congelation.conformance.rule import BY_ID, Outcome
 from congelation.conformance.runner import check
 

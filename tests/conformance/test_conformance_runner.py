@@ -170,7 +170,7 @@ def test_static_starts_no_process(
     def forbidden(*arguments: object, **named: object) -> None:
         raise AssertionError("a process was started")
 
-    monkeypatch.setattr("congelation.conformance.children.subprocess.Popen", forbidden)
+    monkeypatch.setattr("congelation.conformance.child_processes.subprocess.Popen", forbidden)
     path = lag.build(tmp_path, library(""), edit=swap(' start="0.25"', ""))
     (finding,) = check([path], static=True).findings
     assert (finding.rule, finding.file, finding.line) == ("FMI2-VARS-05", XML, 45)

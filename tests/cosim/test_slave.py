@@ -11,7 +11,7 @@ from congelation.errors import InvalidInput, SlaveError
 from congelation.fmi.description import describe
 from congelation.fmi.library import unpack
 from congelation.fmi.slave import Slave, StepDiscarded
-from congelation.fmi.start import resolve_start
+from congelation.fmi.start_values import resolve_start
 
 
 def ready(fmus, name, start=None, instance="s"):

@@ -12,11 +12,11 @@ import pytest
 from typer.testing import CliRunner
 
 from congelation.cli import app
-from congelation.cli.design import VIOLATED
+from congelation.cli.searches import VIOLATED
 from congelation.design.attack import attack
+from congelation.design.attack_problem import Admissible, problem_of
 from congelation.design.finds import Attack
-from congelation.design.playback import write_finds
-from congelation.design.problem import Admissible, problem_of
+from congelation.design.found_scenario import write_finds
 from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
 from congelation.sweep.engine import run
@@ -117,7 +117,7 @@ def test_a_broken_certificate_is_exit_code_3(
 ) -> None:
     found = narrow_attack()
     broken = replace(found, finds=(replace(found.finds[0], certified=True, margin=1e-3),))
-    monkeypatch.setattr("congelation.cli.design.search", lambda *_, **__: broken)
+    monkeypatch.setattr("congelation.cli.searches.search", lambda *_, **__: broken)
     done = CliRunner().invoke(app, ["attack", str(FIG2), "--out", str(tmp_path)])
     assert done.exit_code == VIOLATED == 3
 

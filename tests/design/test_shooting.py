@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from congelation.design.problem import Problem, problem_of
+from congelation.design.attack_problem import Problem, problem_of
 from congelation.design.shooting import Cells, Shooting
 from congelation.scenario.load import load_scenario
 from congelation.theory.closed_loop import Compiled, Segment

@@ -9,7 +9,7 @@ import pytest
 
 from congelation.errors import InvalidInput
 from congelation.fmi.description import Description, describe
-from congelation.fmi.start import resolve_start
+from congelation.fmi.start_values import resolve_start
 
 XML = """<fmiModelDescription fmiVersion="2.0" modelName="Gear" guid="{g}">
 <CoSimulation modelIdentifier="Gear"/>

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from congelation.report.comparison import write_comparison
-from congelation.report.html import write_html
+from congelation.report.run_page import write_html
 from tests.report.browser import WIDTHS, chromium, fits, keep, needs_browser, opened
 from tests.report.stored import record, results, stored, stored_study, trajectory
 
@@ -34,7 +34,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def run_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    file = folder / "report.html"
+    file = folder / "report.run_page"
     write_html(stored(folder), file)
     return file
 
@@ -42,7 +42,7 @@ def run_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def study_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("study")
-    file = folder / "report.html"
+    file = folder / "report.run_page"
     write_html(stored_study(folder), file)
     return file
 

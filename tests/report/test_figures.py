@@ -10,7 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from congelation.errors import InvalidInput
-from congelation.results.figures import draw_panels, save
+from congelation.results.print_figures import draw_panels, save
 from congelation.results.record import Trajectory
 from tests.report.stored import record, results, stored, stored_failures, trajectory
 

@@ -184,7 +184,7 @@ def test_applying_settings_checks_nothing_again(monkeypatch: pytest.MonkeyPatch)
 
     for name in ("congelation.toml.Section.read", "congelation.toml.Section.value"):
         monkeypatch.setattr(name, again)
-    monkeypatch.setattr("congelation.scenario.tables.describe", again)
+    monkeypatch.setattr("congelation.scenario.read_tables.describe", again)
     case = scenario.case(settings)
     assert (case.experiment.step, case.system.components[0].start["x0[1]"]) == (0.02, 3.0)
 

@@ -16,7 +16,7 @@ import fmpy
 from lxml import etree
 
 from congelation.errors import InvalidInput
-from congelation.fmi.archive import unpack_archive
+from congelation.fmi.unpack import unpack_archive
 
 __all__ = [
     "ANNOTATION",

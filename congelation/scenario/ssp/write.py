@@ -22,7 +22,7 @@ from lxml import etree
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import Variable
-from congelation.fmi.start import StartValue
+from congelation.fmi.start_values import StartValue
 from congelation.places import replace_whole
 from congelation.scenario.scenario import Experiment, Scenario, Variant
 from congelation.scenario.ssp.archive import (

@@ -22,8 +22,8 @@ from congelation.scenario.parts import (
     Variant,
     agreed,
 )
+from congelation.scenario.read_sweep import read_sweep
 from congelation.scenario.settings import SettingsReader, component_values
-from congelation.scenario.sweep_table import read_sweep
 from congelation.toml import Section
 
 __all__ = ["read_scenario"]

@@ -15,10 +15,10 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn
 from congelation.cli.shared import FAILED, INTERRUPTED, VIOLATED, complain, print_table
 from congelation.design.attack import OBJECTIVES
 from congelation.design.attack import attack as search
+from congelation.design.attack_fmus import attack_fmus as search_fmus
 from congelation.design.finds import Attack, Find
-from congelation.design.foreign import attack_fmus as search_fmus
-from congelation.design.late import SETTLED
-from congelation.design.playback import write_finds
+from congelation.design.found_scenario import write_finds
+from congelation.design.late_strike import SETTLED
 from congelation.design.tune import Proposal, Tuning, write_proposals
 from congelation.design.tune import tune as search_gains
 from congelation.errors import InvalidInput

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import pytest
 
 from congelation import cli
-from congelation.cli import designs
+from congelation.cli import specs
 from congelation.cli.shared import EXIT_CODES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -190,7 +190,7 @@ def test_an_interruption_is_one_line(congelation, monkeypatch, tmp_path):
     def interrupted(*specs: Path, **options: object) -> list[Path]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(designs, "build_fmus", interrupted)
+    monkeypatch.setattr(specs, "build_fmus", interrupted)
     done = congelation("build", "specs/scalar.toml", "--out", tmp_path)
     assert done == (130, "", "congelation: interrupted\n")
 

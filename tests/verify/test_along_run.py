@@ -11,7 +11,7 @@ from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
 from congelation.sweep.engine import run as run_study
 from congelation.sweep.plan import plan_study
-from congelation.verify.lyapunov import MOST_ROWS, along, center
+from congelation.verify.along_run import MOST_ROWS, along, center
 from congelation.verify.reference import reference
 from tests.scenarios import SCALAR, write
 

@@ -13,8 +13,8 @@ from typing import Any
 import tomli_w
 
 from congelation.cosim.system import Component, Connection, System
+from congelation.design.attack_problem import Varied
 from congelation.design.finds import Attack, Find
-from congelation.design.problem import Varied
 from congelation.design.shooting import Cells
 from congelation.scenario.scenario import Experiment, Scenario
 from congelation.signals import Profile

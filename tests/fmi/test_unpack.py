@@ -12,9 +12,9 @@ import pytest
 
 from congelation.errors import InvalidInput
 from congelation.export.spec import read_spec
-from congelation.fmi import archive
-from congelation.fmi.archive import check_archive, unpack_archive
+from congelation.fmi import unpack
 from congelation.fmi.description import describe
+from congelation.fmi.unpack import check_archive, unpack_archive
 from congelation.scenario.load import load_scenario
 from tests.scenarios import FMUS, ROOT, write
 from tests.studies import command as congelation
@@ -69,10 +69,10 @@ def test_a_bomb_is_refused(tmp_path: Path) -> None:
 def test_sizes_and_numbers_have_a_limit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     file = pack(tmp_path / "a.fmu", "a", "b", "c", content=bytes(range(256)) * 4)
     check_archive(file, "an FMU")
-    monkeypatch.setattr(archive, "MOST_BYTES", 3071)
+    monkeypatch.setattr(unpack, "MOST_BYTES", 3071)
     with pytest.raises(InvalidInput, match="GiB unpacked; at most"):
         check_archive(file, "an FMU")
-    monkeypatch.setattr(archive, "MOST_FILES", 2)
+    monkeypatch.setattr(unpack, "MOST_FILES", 2)
     with pytest.raises(InvalidInput, match="3 files; at most 2 are unpacked"):
         check_archive(file, "an FMU")
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from congelation.cosim.result import Status
-from congelation.design.problem import held
+from congelation.design.attack_problem import held
 from congelation.design.shooting import Cells, Shooting
 from congelation.errors import InvalidInput
 from congelation.export.spec import Spec, read_spec
@@ -33,7 +33,7 @@ from congelation.scenario.metrics import METRICS
 from congelation.signals import Profile
 from congelation.theory.closed_loop import ClosedLoop, Segment, close
 
-__all__ = ["OBJECTIVES", "Bench", "Candidates"]
+__all__ = ["OBJECTIVES", "Evaluator", "Candidates"]
 
 Floats = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ INFEASIBLE = "INFEASIBLE"
 """Status of a candidate that cannot be solved."""
 
 EXTENDED = "settling_extended"
-"""Metric of a stored candidate: the settling time that the search sees, `Bench.solve`."""
+"""Metric of a stored candidate: the settling time that the search sees, `Evaluator.solve`."""
 
 _MEASURED = {
     "settling": ("settling_time", "plant.x", "s"),
@@ -66,7 +66,7 @@ _MEASURED = {
 }
 
 
-class Bench:
+class Evaluator:
     """A spec on which candidates are solved; a candidate is a vector of powers of ten."""
 
     def __init__(self, file: Path, below: float, stop_time: float) -> None:
@@ -167,12 +167,12 @@ class Bench:
         return settling, effort, peak
 
 
-_here: list[Bench] = []
-"""The bench of a worker process."""
+_here: list[Evaluator] = []
+"""The evaluator of a worker process."""
 
 
 def _open_bench(spec: Path, below: float, stop_time: float) -> None:
-    _here[:] = [Bench(spec, below, stop_time)]
+    _here[:] = [Evaluator(spec, below, stop_time)]
 
 
 def _solve_here(vector: Vector) -> Vector | None:
@@ -184,7 +184,7 @@ class Candidates:
 
     Parameters
     ----------
-    bench : Bench
+    evaluator : Evaluator
     workers : int
         Processes.
     folder : Path, optional
@@ -203,14 +203,16 @@ class Candidates:
         If the directory has runs and `resume` is false, or they are of another search.
     """
 
-    def __init__(self, bench: Bench, workers: int, folder: Path | None, resume: bool) -> None:
-        self.bench = bench
+    def __init__(
+        self, evaluator: Evaluator, workers: int, folder: Path | None, resume: bool
+    ) -> None:
+        self.evaluator = evaluator
         self.solved: dict[Vector, Vector | None] = {}
         self._known: dict[str, Vector | None] = {}
         self._key = {
-            "spec": file_hash(bench.file),
-            "below": bench.below,
-            "stop_time": bench.stop,
+            "spec": file_hash(evaluator.file),
+            "below": evaluator.below,
+            "stop_time": evaluator.stop,
             "numerics": NUMERICS_VERSION,
         }
         self._study = content_hash(self._key)
@@ -221,7 +223,7 @@ class Candidates:
                 workers,
                 get_context("spawn"),
                 _open_bench,
-                (bench.file, bench.below, bench.stop),
+                (evaluator.file, evaluator.below, evaluator.stop),
             )
 
     def __enter__(self) -> Candidates:
@@ -241,7 +243,7 @@ class Candidates:
         new = [v for v in ids if ids[v] not in self._known]
         found: Iterable[Vector | None]
         if self._pool is None:
-            found = (self.bench.solve(np.array(v)) for v in new)
+            found = (self.evaluator.solve(np.array(v)) for v in new)
         else:
             found = self._pool.map(_solve_here, new)
         first = len(self._known)
@@ -262,14 +264,14 @@ class Candidates:
         if objectives is not None:
             metrics |= zip(OBJECTIVES, objectives, strict=True)
             metrics[EXTENDED] = objectives[0]
-            if objectives[0] > self.bench.stop:
+            if objectives[0] > self.evaluator.stop:
                 metrics["settling"] = math.inf
         return RunRecord(
             run_id=run_id,
             study=self._study,
             number=number,
             variant="design",
-            settings=self.bench.settings(np.array(vector)),
+            settings=self.evaluator.settings(np.array(vector)),
             status=status,
             message="" if objectives is not None else "there is no such design, or it is too stiff",
             metrics=metrics,
@@ -300,7 +302,7 @@ class Candidates:
             name: {
                 "metric": kind,
                 "of": of,
-                "options": {"below": self.bench.below} if kind == "settling_time" else {},
+                "options": {"below": self.evaluator.below} if kind == "settling_time" else {},
                 "definition": METRICS[kind].definition,
                 "unit": unit,
             }
@@ -308,10 +310,10 @@ class Candidates:
         }
         metrics[EXTENDED]["definition"] += "; if never, the stop time times 1 + ln(|x| / below)"
         return {
-            "title": f"{self.bench.spec.title}: designs tried",
-            "scenario_file": self.bench.file.name,
-            "scenario": self.bench.file.read_text("utf-8"),
-            "varied": list(self.bench.settings(np.zeros(self.bench.dimension))),
+            "title": f"{self.evaluator.spec.title}: designs tried",
+            "scenario_file": self.evaluator.file.name,
+            "scenario": self.evaluator.file.read_text("utf-8"),
+            "varied": list(self.evaluator.settings(np.zeros(self.evaluator.dimension))),
             "metrics": metrics,
             "figures": [],
             "fmus": {},

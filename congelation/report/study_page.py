@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.report.curves import PICKED, Curve, Panel, curve_panels, draw_panels
-from congelation.report.page import Drawn, swatch, table
+from congelation.report.page_shell import Drawn, swatch, table
 from congelation.report.summary import label_of, number, summarise
 from congelation.report.verdict import FEW, axes_of, settled, short_names, unit_of
 from congelation.results.record import RunRecord, Study, Trajectory

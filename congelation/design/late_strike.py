@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-from congelation.design.problem import Problem
+from congelation.design.attack_problem import Problem
 from congelation.design.search import Candidate, Search
 from congelation.design.shooting import Cells, Path, Shooting
 from congelation.theory.closed_loop import Compiled

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from congelation.cosim import Component, Connection, System, simulate
-from congelation.cosim.info import Trial, _accurate, info
+from congelation.cosim.pair_info import Trial, _accurate, info
 from congelation.errors import InvalidInput
 from tests.scenarios import FMUS
 
@@ -60,7 +60,7 @@ def test_a_loop_that_needs_shorter_steps_than_its_whole_time_allows(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """The search goes on over shorter times, and says so."""
-    monkeypatch.setattr(sys.modules["congelation.cosim.info"], "MOST_STEPS", 20)
+    monkeypatch.setattr(sys.modules["congelation.cosim.pair_info"], "MOST_STEPS", 20)
     found = info(PLANT, CONTROLLER, stop_time=2.0).pair
     assert found is not None
     assert found.stop_time < 2.0

@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from congelation.cli.shared import FAILED, VIOLATED, complain, print_json, print_table
-from congelation.cosim.info import info as look_at
+from congelation.cosim.pair_info import info as look_at
 from congelation.errors import DesignWarning
 from congelation.export.build import build as build_fmus
 from congelation.export.examples import copy_examples, write_starter

@@ -12,8 +12,8 @@ import numpy as np
 from congelation.places import replace_whole
 from congelation.report.curves import POINTS, controls, curve_panels, draw_panels
 from congelation.report.diagram import diagram
-from congelation.report.page import Drawn, lines_of, opening, page, pairs, swatch, table, tile
-from congelation.report.study import study_content
+from congelation.report.page_shell import Drawn, lines_of, opening, page, pairs, swatch, table, tile
+from congelation.report.study_page import study_content
 from congelation.report.summary import metric_definitions, summarise
 from congelation.report.verdict import run_verdict, settling_rule, study_verdict, tiles
 from congelation.results.record import RunRecord, Study, Trajectory

@@ -10,13 +10,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.again import Again, Ahead, At, divided
 from congelation.cosim.bands import bands, error_name, window_maxima
 from congelation.cosim.choice import Lack, chosen
 from congelation.cosim.coupling import Auto, Derivative, Hermite, ModelExchange
 from congelation.cosim.experiment import Experiment, slave_tolerance
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
+from congelation.cosim.rerun import Again, Ahead, At, divided
 from congelation.cosim.result import Result, Trust
 from congelation.cosim.sinks import Memory
 from congelation.cosim.system import Recorded, System

@@ -16,7 +16,6 @@ from xml.etree import ElementTree
 
 import fmpy
 
-from congelation.export.archive import write_archive
 from congelation.export.equations import (
     Special,
     constants_of,
@@ -31,6 +30,7 @@ from congelation.export.interface import (
     state_variables,
 )
 from congelation.export.model_description import add_model_exchange
+from congelation.export.pack import write_archive
 from congelation.export.platforms import Platform, library
 from congelation.export.spec import FmuSpec
 from congelation.export.stage import Staged

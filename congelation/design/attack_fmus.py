@@ -20,10 +20,10 @@ from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.result import Result
 from congelation.cosim.system import System
+from congelation.design.attack_problem import Admissible, Varied
+from congelation.design.derivative_free import maximise
 from congelation.design.finds import DIFFERENCE, Attack, Find
-from congelation.design.free import maximise
-from congelation.design.playback import driven
-from congelation.design.problem import Admissible, Varied
+from congelation.design.found_scenario import driven
 from congelation.design.shooting import Cells
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import describe

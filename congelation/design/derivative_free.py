@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from congelation.design.problem import Admissible
+from congelation.design.attack_problem import Admissible
 from congelation.design.shooting import Cells
 
 __all__ = ["maximise"]

@@ -81,7 +81,7 @@ class Children:
             if self._stopped:
                 return Ended(None, "not done: the check was interrupted", "", None)
             process = subprocess.Popen(
-                [sys.executable, "-m", "congelation.conformance.child", str(job.saved())],
+                [sys.executable, "-m", "congelation.conformance.child_main", str(job.saved())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=stderr,

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from congelation.design.foreign import attack_fmus
-from congelation.design.playback import write_finds
+from congelation.design.attack_fmus import attack_fmus
+from congelation.design.found_scenario import write_finds
 from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario

@@ -55,7 +55,7 @@ LOOKED_AT = 0.2
 PROCESSORS = 2
 """Processors that two runs at once need."""
 
-MODULE = "congelation.cosim.again"
+MODULE = "congelation.cosim.rerun"
 
 ROWS, ENDED = "rows.parquet", "ended"
 """What a process leaves in its folder."""

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from benchmarks.coupling.problems import Problem, problem
-from congelation.cosim import Component, Output, ParquetFile, Status, System, again, simulate
+from congelation.cosim import Component, Output, ParquetFile, Status, System, rerun, simulate
 from congelation.cosim.bands import MARGIN, bands, error_name, variable_of
+from congelation.cosim.error_bars import FLOOR, trusted
 from congelation.cosim.experiment import Experiment
 from congelation.cosim.master import perform
-from congelation.cosim.trust import FLOOR, trusted
 from congelation.errors import InvalidInput
 
 
@@ -98,12 +98,12 @@ def test_rows_of_their_own_times_get_bars_as_well(parts, tmp_path):
 def test_a_second_process_finds_the_same(parts, monkeypatch, name, ability, coupling):
     found = problem(name)
     alone = run(found, parts, ability, coupling, step=0.02, trust=True)
-    monkeypatch.setattr(again, "LOOKED_AT", 0.0)
-    monkeypatch.setattr(again, "WORTH", 0.0)
-    monkeypatch.setattr(again, "PROCESSORS", 1)
+    monkeypatch.setattr(rerun, "LOOKED_AT", 0.0)
+    monkeypatch.setattr(rerun, "WORTH", 0.0)
+    monkeypatch.setattr(rerun, "PROCESSORS", 1)
     started = []
-    start = again.Ahead._start
-    monkeypatch.setattr(again.Ahead, "_start", lambda self: (started.append(self), start(self)))
+    start = rerun.Ahead._start
+    monkeypatch.setattr(rerun.Ahead, "_start", lambda self: (started.append(self), start(self)))
     beside = run(found, parts, ability, coupling, step=0.02, trust=True)
     assert len(started) == 1
     assert (beside.values == alone.values).all()
@@ -114,10 +114,10 @@ def test_a_second_process_finds_the_same(parts, monkeypatch, name, ability, coup
 def test_a_second_process_that_dies_is_replaced(parts, monkeypatch):
     found = problem("relay")
     alone = run(found, parts, "held", "jacobi", step=0.02, trust=True)
-    monkeypatch.setattr(again, "LOOKED_AT", 0.0)
-    monkeypatch.setattr(again, "WORTH", 0.0)
-    monkeypatch.setattr(again, "PROCESSORS", 1)
-    monkeypatch.setattr(again, "MODULE", "congelation.no_such_module")
+    monkeypatch.setattr(rerun, "LOOKED_AT", 0.0)
+    monkeypatch.setattr(rerun, "WORTH", 0.0)
+    monkeypatch.setattr(rerun, "PROCESSORS", 1)
+    monkeypatch.setattr(rerun, "MODULE", "congelation.no_such_module")
     assert run(found, parts, "held", "jacobi", step=0.02, trust=True).trust.line == alone.trust.line
 
 
