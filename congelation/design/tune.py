@@ -27,7 +27,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
-from congelation.design.tuning_candidates import OBJECTIVES, Evaluator, Candidates
+from congelation.design.tuning_candidates import OBJECTIVES, Candidates, Evaluator
 from congelation.errors import InvalidInput
 from congelation.export.assumptions import spec_assumptions
 from congelation.signals import box_radius

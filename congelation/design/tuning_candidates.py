@@ -33,7 +33,7 @@ from congelation.scenario.metrics import METRICS
 from congelation.signals import Profile
 from congelation.theory.closed_loop import ClosedLoop, Segment, close
 
-__all__ = ["OBJECTIVES", "Evaluator", "Candidates"]
+__all__ = ["OBJECTIVES", "Candidates", "Evaluator"]
 
 Floats = NDArray[np.float64]
 
