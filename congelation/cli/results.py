@@ -46,7 +46,7 @@ Directory = Annotated[
 
 SMALLEST, LARGEST = 2.0, 40.0  # inches: axes fit into the first, a poster is the second
 
-PAGE, COMPARISON = "report.run_page", "comparison.html"
+PAGE, COMPARISON = "report.html", "comparison.html"
 """Names of the pages in a result directory; a comparison is in the last one that it compares."""
 
 Directories = Annotated[

@@ -39,13 +39,13 @@ def _page(folder: Path, directories: list[Path]) -> Iterator[str]:
     for directory in directories:
         # Links are relative, so that the folder can be moved or sent as a whole.
         base = directory.relative_to(folder)
-        report = directory / "report.run_page"
+        report = directory / "report.html"
         title = directory.name
         if report.is_file():
             head = re.search(r"<title>(.*?)</title>", report.read_text("utf-8"), re.DOTALL)
             title = unescape(head[1]) if head else title
         yield f"<h2>{escape(title)}</h2>\n<p>"
-        for name in ("report.run_page", "runs.parquet"):
+        for name in ("report.html", "runs.parquet"):
             if (directory / name).is_file():
                 yield f'<a href="{quote((base / name).as_posix())}">{name}</a>'
         yield '</p><p class="thumbs">'

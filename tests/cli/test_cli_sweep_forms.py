@@ -62,7 +62,7 @@ def test_an_axis_of_one_variant_leaves_the_other_a_run(tmp_path: Path) -> None:
     assert labels == [["0.5", "1"], ["1", "1"], ["2", "1"], ["–", "1"]]
     report = congelation("report", out)
     assert report.returncode == 0, report.stderr
-    page = (out / "report.run_page").read_text()
+    page = (out / "report.html").read_text()
     assert "Controller 1 pays with a peak" not in page  # no metric of u
     assert "none up to gamma" not in page
 

@@ -34,7 +34,7 @@ def browser() -> Iterator[Browser]:
 @pytest.fixture(scope="module")
 def run_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
-    file = folder / "report.run_page"
+    file = folder / "report.html"
     write_html(stored(folder), file)
     return file
 
@@ -42,7 +42,7 @@ def run_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def study_page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("study")
-    file = folder / "report.run_page"
+    file = folder / "report.html"
     write_html(stored_study(folder), file)
     return file
 

@@ -20,7 +20,7 @@ from congelation.report.comparison import (
 )
 from congelation.results.record import RunRecord, Study
 from tests.report.stored import ABOUT, record, results, stored, stored_study, trajectory
-from tests.report.test_html import Page
+from tests.report.test_run_page import Page
 
 
 def study(*runs: RunRecord, **about: object) -> Study:

@@ -17,7 +17,7 @@ def test_every_report_and_figure_is_linked(tmp_path: Path) -> None:
         (tmp_path / name / "figures").mkdir(parents=True)
         (tmp_path / name / "runs.parquet").touch()
         (tmp_path / name / "figures" / "x&y.png").touch()
-    (tmp_path / "b" / "report.run_page").write_text("<title>Of x &lt; 1</title>")
+    (tmp_path / "b" / "report.html").write_text("<title>Of x &lt; 1</title>")
     (tmp_path / "no results").mkdir()
     text = write_index(tmp_path).read_text("utf-8")
     links = {unquote(link) for link in re.findall(r'href="([^"]+)"', text)}

@@ -16,7 +16,7 @@ from congelation.report.certificates import write_certificates
 from congelation.report.conformance import write_conformance
 from congelation.verify.certify import certify
 from tests.report.browser import WIDTHS, chromium, fits, keep, needs_browser, opened
-from tests.report.test_html import Page
+from tests.report.test_run_page import Page
 from tests.scenarios import ROOT
 
 if TYPE_CHECKING:

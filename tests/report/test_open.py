@@ -39,7 +39,7 @@ def test_the_page_is_written_and_given_to_the_browser(folder: Path, tmp_path: Pa
     browser.write_text(f'#!/bin/sh\nprintf "%s\\n" "$@" > "{seen}"\n')
     browser.chmod(0o755)
     done = open_with(f"{browser} %s", folder)
-    page = folder / "report.run_page"
+    page = folder / "report.html"
     assert (done.returncode, done.stdout, done.stderr) == (0, f"{page}\n", "")
     assert seen.read_text() == f"{page.as_uri()}\n"
     assert "Two &lt;runs&gt;" in page.read_text("utf-8")
@@ -47,7 +47,7 @@ def test_the_page_is_written_and_given_to_the_browser(folder: Path, tmp_path: Pa
 
 def test_without_a_browser_the_page_is_named(folder: Path, tmp_path: Path) -> None:
     done = open_with(str(tmp_path / "absent"), folder)
-    page = folder / "report.run_page"
+    page = folder / "report.html"
     assert done.stdout == f"{page}\n"
     assert "there is no browser to show it in" in done.stderr
     assert str(page) in done.stderr

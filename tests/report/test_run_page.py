@@ -47,7 +47,7 @@ def page(store: Results, file: Path) -> Page:
 
 
 def test_the_report_holds_what_was_stored(tmp_path: Path) -> None:
-    found = page(stored(tmp_path), tmp_path / "report.run_page")
+    found = page(stored(tmp_path), tmp_path / "report.html")
     for text in (
         "Two <runs>",
         "Controller 1",
@@ -66,13 +66,13 @@ def test_the_report_holds_what_was_stored(tmp_path: Path) -> None:
 
 def test_the_report_needs_no_other_file(tmp_path: Path) -> None:
     """It is HTML all through, and nothing in it names another file; the browser tests watch it."""
-    found = page(stored(tmp_path), tmp_path / "report.run_page")
+    found = page(stored(tmp_path), tmp_path / "report.html")
     assert found.sources == ["#content"]
-    assert "@import" not in (tmp_path / "report.run_page").read_text()
+    assert "@import" not in (tmp_path / "report.html").read_text()
 
 
 def test_the_verdict_and_the_price_come_first(tmp_path: Path) -> None:
-    found = page(stored(tmp_path), tmp_path / "report.run_page")
+    found = page(stored(tmp_path), tmp_path / "report.html")
     head = found.text[: found.text.index("Trajectories")]
     assert "Controller 1 settles after 2.5 s; Controller 2 does not settle." in head
     # u = gain exp(-t), gains 1000 and 1; no metric measures it.
@@ -90,11 +90,11 @@ def test_failures_and_deviations_are_told(tmp_path: Path) -> None:
 
 def test_places_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="is no result directory"):
-        write_html(Results(tmp_path), tmp_path / "report.run_page")
+        write_html(Results(tmp_path), tmp_path / "report.html")
     store = stored(tmp_path)
     (tmp_path / "file").write_text("")
     with pytest.raises(CongelationError, match=r"report\.html cannot be written"):
-        write_html(store, tmp_path / "file" / "report.run_page")
+        write_html(store, tmp_path / "file" / "report.html")
 
 
 def test_a_variant_without_an_axis_is_compared_with_all_runs_of_the_other(tmp_path: Path) -> None:
@@ -112,7 +112,7 @@ def test_a_variant_without_an_axis_is_compared_with_all_runs_of_the_other(tmp_pa
 
 
 def test_a_study_says_where_it_fails_and_what_it_costs(tmp_path: Path) -> None:
-    found = page(stored_study(tmp_path, kept=0), tmp_path / "report.run_page")
+    found = page(stored_study(tmp_path, kept=0), tmp_path / "report.html")
     head = found.text[: found.text.index("Metric against a setting")]
     assert "Controller 1 settles in all 8 runs, after 1.5 s (median; 1 to 2 s)." in head
     assert "A run settles when |plant.x| stays" in head

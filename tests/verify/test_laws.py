@@ -134,7 +134,10 @@ def test_the_run_of_a_disturbed_loop_keeps_to_its_bound(tmp_path: Path) -> None:
     """V' at every point, the mean of the error, and the ultimate bound."""
     text = (ROOT / "scenarios" / "disturbed.toml").read_text()
     file = tmp_path / "scenario.toml"
-    file.write_text(text.replace("stop_time = 40.0", "stop_time = 0.2"))
+    text = text.replace("stop_time = 40.0", "stop_time = 0.2").replace(
+        "after = 20.0", "after = 0.1"
+    )
+    file.write_text(text)
     for run in cg.run(file, out=tmp_path / "out").runs:
         holds = run.variant != "Controller 2"
         assert (run.metrics["margin"] < 1e-9) is holds
