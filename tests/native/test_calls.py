@@ -22,6 +22,10 @@ CHECKED = ("ObserverFormPlant", "OutputFeedbackController", "Reference", "Delay"
 FLAGS = ("-g", "-O1", "-fsanitize=address,undefined", "-fno-sanitize-recover=all")
 CALLS = 20_000
 REMEDY = "make system-packages-further installs it"
+needs_valgrind = pytest.mark.skipif(
+    shutil.which("valgrind") is None,
+    reason=f"there is no valgrind; {REMEDY}",
+)
 in_fuzz = pytest.mark.skipif(
     "CONGELATION_FUZZ_SECONDS" not in os.environ, reason="it takes long; make fuzz runs it"
 )
@@ -73,10 +77,7 @@ def test_the_sanitizers_find_nothing(programs: dict[str, Path], name: str) -> No
 @pytest.mark.fuzz
 @pytest.mark.slow
 @in_fuzz
-@pytest.mark.skipif(
-    shutil.which("valgrind") is None,
-    reason=f"there is no valgrind; {REMEDY}",
-)
+@needs_valgrind
 def test_valgrind_finds_nothing(tmp_path: Path) -> None:
     """Reads of memory that was never written, which the sanitizers do not see, and leaks."""
     for name in CHECKED:
