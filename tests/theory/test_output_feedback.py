@@ -235,6 +235,16 @@ def test_infeasible_gains_are_refused_when_the_loop_is_closed():
         loop_of(2, 0, {"r": 5.0, "epsilon": 0.1})
 
 
+@pytest.mark.parametrize("epsilon", [0.1, 0.3])
+def test_a_design_without_r_is_refused_with_the_smallest_one(epsilon):
+    """The r that a design has by default, 3 for n = 2, is feasible where sqrt(1 + 1/epsilon^2) < 3."""
+    least = math.sqrt(1 + epsilon**-2)
+    with pytest.raises(InfeasibleDesign, match=rf"smallest feasible r is {least:.4f}"[:-2]):
+        loop_of(2, 0, {"epsilon": epsilon})
+    loop_of(2, 0, {"epsilon": epsilon, "r": 1.001 * least})
+    loop_of(2, 0, {"epsilon": 0.4})
+
+
 @pytest.mark.parametrize(("n", "m"), [(0, 0), (2, 2), (2, -1)])
 def test_orders_that_are_refused(n, m):
     with pytest.raises(InvalidInput, match="valid: n >= 1"):
