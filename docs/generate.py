@@ -251,7 +251,8 @@ def fmu(path: Path) -> list[str]:
         lines += [f"## {title}", "", *table(["name", "type", "unit", "start", "what it is"], rows)]
     if any(v.name.startswith("profile[") for v in model.parameters):
         lines += [
-            "The parameters `profile[j].…` hold θ(t): [The parameter signals](../../signals.md).",
+            "The parameters `profile[j].…` hold the terms of its signals, θ(t) or d(t): "
+            "[The parameter signals](../../signals.md).",
             "",
         ]
     return lines

@@ -220,8 +220,7 @@ class Result:
 
     @property
     def whole(self) -> bool:
-        """Whether the run came to an end that is no failure: at its stop time, or where an FMU
-        ended it."""
+        """Whether the run ended without a failure, at its stop time or where an FMU ended it."""
         return self.status in (Status.COMPLETED, Status.TERMINATED)
 
     def column(self, name: str) -> npt.NDArray[np.float64]:

@@ -162,7 +162,7 @@ class Scenario:
 
     @property
     def place(self) -> str:
-        """What messages about it begin with: the file, if it was read from one."""
+        """What messages about it begin with, which is the file if it was read from one."""
         return "Scenario" if self.file is None else str(self.file)
 
     def case(self, settings: Mapping[str, Scalar]) -> Case:

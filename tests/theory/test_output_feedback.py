@@ -1,6 +1,7 @@
 """Sec. IV: the law against a hand derivation, the corrected (57), and Proposition 2."""
 
 import math
+import re
 
 import casadi as ca
 import numpy as np
@@ -233,6 +234,19 @@ def test_first_tuning_function_where_rho_is_1():
 def test_infeasible_gains_are_refused_when_the_loop_is_closed():
     with pytest.raises(InfeasibleDesign, match=r"10\.0499"):
         loop_of(2, 0, {"r": 5.0, "epsilon": 0.1})
+
+
+@pytest.mark.parametrize("epsilon", [0.1, 0.3])
+def test_a_design_without_r_is_refused_with_the_smallest_one(epsilon):
+    """By default r is 3 for n = 2: feasible for epsilon = 0.4, where sqrt(1 + 1/epsilon^2) < 3."""
+    least = math.sqrt(1 + epsilon**-2)
+    with pytest.raises(InfeasibleDesign) as refusal:
+        loop_of(2, 0, {"epsilon": epsilon})
+    named = re.search(r"the smallest feasible r is ([0-9.]+[0-9])", str(refusal.value))
+    assert named is not None
+    assert float(named[1]) == pytest.approx(least, rel=1e-5)
+    loop_of(2, 0, {"epsilon": epsilon, "r": 1.001 * least})
+    loop_of(2, 0, {"epsilon": 0.4})
 
 
 @pytest.mark.parametrize(("n", "m"), [(0, 0), (2, 2), (2, -1)])

@@ -180,7 +180,7 @@ def no_links(subject: Subject) -> Iterator[str]:
 @static("FMI2-PACK-08", "2.3", Level.VIOLATION)
 def implementation(subject: Subject) -> Iterator[str]:
     """There are sources or binaries, in each standard platform's folder one named
-    <modelIdentifier>.
+    by modelIdentifier.
 
     Standard: "The FMU must be distributed with at least one implementation, in other words,
     either sources or one of the binaries"; the library is named "<modelIdentifier>"
