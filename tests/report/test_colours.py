@@ -1,4 +1,4 @@
-"""The colours of variants are told apart with every kind of colour vision, on both grounds."""
+"""The colours of variants can be distinguished under all colour vision, on both grounds."""
 
 from __future__ import annotations
 
