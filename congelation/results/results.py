@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -26,6 +27,9 @@ SHOWN = 6
 """Rows that a repr shows: ten lines in all."""
 
 SHOWN_COLUMNS = 8
+
+CELL = 32
+"""Characters that a cell of a repr shows at most."""
 
 PLOTTED = 8
 """Runs that a figure shows; more cannot be told apart."""
@@ -99,8 +103,13 @@ class Runs(Sequence[RunRecord]):
         return np.array([np.nan if value is None else value for value in values])
 
     def __repr__(self) -> str:
+        lines = self._shown()
+        widths = [min(CELL, max(map(len, column))) for column in zip(*lines, strict=True)]
         return "\n".join(
-            "  ".join(cell[:16].ljust(16) for cell in line).rstrip() for line in self._shown()
+            "  ".join(
+                cell[:width].ljust(width) for cell, width in zip(line, widths, strict=True)
+            ).rstrip()
+            for line in lines
         )
 
     def _repr_html_(self) -> str:
@@ -224,7 +233,9 @@ class Results:
         ]
         if not kept:
             raise InvalidInput(f"{self.folder} holds no trajectories to plot")
-        runs = [(record, self.store.trajectory(record.run_id)) for record in kept]
+        runs = [
+            (r, replace(self.store.trajectory(r.run_id), signals=study.signals(r))) for r in kept
+        ]
         _let_notebooks_show_figures()
         if name is None and not study.about["figures"]:
             panels = dict.fromkeys(c.partition("[")[0] for c in runs[0][1].columns)
