@@ -51,6 +51,14 @@ over jumps that no FMU announces. First steps are no shorter unless one is given
 JUMPED = 10.0
 """Error, in tolerances, beyond which the values before a kept step say nothing of those to come."""
 
+KEPT_SHARE = 1e-2
+
+LATE = 3
+"""Steps that keep their length from a jump on that no FMU announces, where steps cannot be taken
+back. The jump is late by half a step on average. The parabola through the last three values goes on
+to rise by 3/4 of the jump in the middle of the next step, and falls short by 1/4 in the one after
+that, which makes up for the half step; only values that are equally far apart do so."""
+
 SMALLEST_STEP = 16.0
 """Smallest step, in units in the last place of the time: time does not resolve a shorter one."""
 
@@ -166,10 +174,11 @@ def run_adaptive(
     horizon = session.stop - session.start
     halving = Halving(np.abs(ensemble.Y[ensemble.source]), np.ones(len(ensemble.links)), 0)
     pace = Pace(halving.sizes)
-    shortest = SHORTEST_KEPT * horizon
-    guess = max(shortest, min(stepper.first_step(state), FIRST_SHARE * horizon))
+    shortest = max(SHORTEST_KEPT, KEPT_SHARE * tolerance) * horizon
+    guess = max(SHORTEST_KEPT * horizon, min(stepper.first_step(state), FIRST_SHARE * horizon))
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
+    late = 0
     event = session.next_event(time)
     compiled = _compiled(session, tolerance)
     assert not isinstance(compiled, CompiledHeld)  # which takes no tolerance
@@ -202,6 +211,7 @@ def run_adaptive(
                     error = max(error, session.unresolved(end))
                     refused = None
                 if trial is not None and error <= 1.0:
+                    late = 0
                     size = size.accepted(error, end - time, order)
                     break
                 if (
@@ -210,8 +220,13 @@ def run_adaptive(
                     and (not session.takes_back or end - time <= shortest)
                 ):
                     session.kept += trial.error > tolerance
+                    jumped = trial.error > JUMPED * tolerance
+                    if jumped and not session.takes_back and late < LATE:
+                        late += 1
+                        size = size.restarted(end - time)
+                        break
                     size = size.refused(error, end - time, order)
-                    if trial.error > JUMPED * tolerance:
+                    if jumped:
                         trial = trial._replace(state=stepper.start(end, trial.state))
                     size = replace(size, length=max(size.length, shortest))
                     break
@@ -281,7 +296,7 @@ def _new_compiled(
         stepper.plan(),
         1.0 if tolerance is None else tolerance,
         stepper.first_change,
-        SHORTEST_KEPT * (session.stop - session.start) if stepper.keeps else 0.0,
+        max(SHORTEST_KEPT, KEPT_SHARE * (tolerance or 0)) * (session.stop - session.start) if stepper.keeps else 0.0,
         session.start,
         session.stop,
     )
