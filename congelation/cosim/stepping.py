@@ -52,6 +52,8 @@ JUMPED = 10.0
 """Error, in tolerances, beyond which the values before a kept step say nothing of those to come."""
 
 KEPT_SHARE = 1e-2
+"""The same as a part of the horizon and of the tolerance: to find a jump more closely costs steps,
+and makes the run no more accurate than the tolerance has the time of the jump."""
 
 LATE = 3
 """Steps that keep their length from a jump on that no FMU announces, where steps cannot be taken
@@ -174,7 +176,7 @@ def run_adaptive(
     horizon = session.stop - session.start
     halving = Halving(np.abs(ensemble.Y[ensemble.source]), np.ones(len(ensemble.links)), 0)
     pace = Pace(halving.sizes)
-    shortest = max(SHORTEST_KEPT, KEPT_SHARE * tolerance) * horizon
+    shortest = _shortest_kept(session, tolerance)
     guess = max(SHORTEST_KEPT * horizon, min(stepper.first_step(state), FIRST_SHARE * horizon))
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
@@ -212,7 +214,9 @@ def run_adaptive(
                     refused = None
                 if trial is not None and error <= 1.0:
                     late = 0
-                    size = size.accepted(error, end - time, order)
+                    begins = stepper.predicts and not pace.decided
+                    follow = size.begun if begins else size.accepted
+                    size = follow(error, end - time, order)
                     break
                 if (
                     trial is not None
@@ -258,6 +262,11 @@ def run_adaptive(
             event = session.next_event(time)
 
 
+def _shortest_kept(session: Session, tolerance: float) -> float:
+    """Longest step, in seconds, that is kept whatever its error."""
+    return max(SHORTEST_KEPT, KEPT_SHARE * tolerance) * (session.stop - session.start)
+
+
 def _compiled(
     session: Session, tolerance: float | None
 ) -> CompiledHeld | CompiledPolynomials | None:
@@ -296,7 +305,7 @@ def _new_compiled(
         stepper.plan(),
         1.0 if tolerance is None else tolerance,
         stepper.first_change,
-        max(SHORTEST_KEPT, KEPT_SHARE * (tolerance or 0)) * (session.stop - session.start) if stepper.keeps else 0.0,
+        _shortest_kept(session, tolerance) if stepper.keeps and tolerance is not None else 0.0,
         session.start,
         session.stop,
     )
