@@ -220,6 +220,19 @@ class Pace:
         """The power of the step by which weighed errors fall faster."""
         return EVENNESS if self.decided else 0
 
+    def judged(self, trial: Trial[Any], values: Floats, nominal: Floats) -> Trial[Any]:
+        """A trial whose error is relative to nominal value plus the largest that each link has been
+        so far, with the links' values at its end, shapes (L,).
+
+        A force that has been 15 kN need not be exact to the same part of a newton whenever it
+        passes zero.
+        """
+        if trial.missed is None or not len(values):
+            return trial
+        relative = trial.missed / (nominal + np.maximum(self.sizes, np.abs(values)))
+        worst = int(relative.argmax())
+        return trial._replace(error=float(relative[worst]), worst=worst)
+
     def lag(self, change: Floats, nominal: Floats, length: float) -> float:
         """Of a step over which the links changed so much, shapes (L,)."""
         return length**2 * float((np.abs(change) / (nominal + self.sizes)).max(initial=0.0))

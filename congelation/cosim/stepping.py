@@ -201,7 +201,7 @@ def run_adaptive(
             before = ensemble.Y[ensemble.source]
             while True:
                 end = _end(time, size.length, target)
-                trial, error = _tried(session, stepper, state, time, end, tolerance, halving)
+                trial, error = _tried(session, stepper, state, time, end, tolerance, halving, pace)
                 order = trial.order if trial is not None else 1
                 if stepper.predicts and trial is not None:
                     predicted, order = error, order + pace.order
@@ -327,6 +327,7 @@ def _tried(
     end: float,
     tolerance: float,
     halving: Halving,
+    pace: Pace,
 ) -> tuple[Trial[Any] | None, float]:
     """A step for a trial, and its scaled error; infinity where it could not be made."""
     smallest = max(
@@ -340,6 +341,8 @@ def _tried(
             )
         else:
             trial = stepper.attempt(state, time, end)
+            ensemble = session.ensemble
+            trial = pace.judged(trial, ensemble.Y[ensemble.source], ensemble.nominal)
         session.ensemble.check(end)
     except (RunEnded, StepDiscarded, SlaveTerminated):
         if end - time <= smallest or not session.takes_back:
