@@ -50,6 +50,8 @@ STANDARD = (
     "tracking_structured",
     "wing_rock",
     "pendulum_length",
+    "dc_motor",
+    "f16_pitch",
 )
 
 

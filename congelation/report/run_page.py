@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ def write_html(results: Results, file: Path) -> None:
 def _run_page(results: Results, study: Study) -> str:
     """The page of a scenario's variants, each run once."""
     kept = [
-        (run, results.store.trajectory(run.run_id))
+        (run, replace(results.store.trajectory(run.run_id), signals=study.signals(run)))
         for run in study.records
         if results.store.trajectory_file(run.run_id).is_file()
     ]
