@@ -160,7 +160,7 @@ def certify(
     else:
         print_table(
             f"{file}",
-            ["worst margin", "relative", "delta", "radius of theta", ""],
+            ["worst margin", "relative margin", "delta", "radius of theta", "result"],
             [_line(certification) for certification in found],
         )
     for certification in found:
