@@ -19,7 +19,7 @@ from congelation.cosim.coupling import (
 )
 from congelation.cosim.recording import Output
 from congelation.cosim.system import ResolvedSystem
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, shown
 
 __all__ = [
     "Experiment",
@@ -117,7 +117,7 @@ class Experiment:
         for name in _NUMBERS:
             value = getattr(self, name)
             if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
-                raise InvalidInput(f"{name} = {value!r} is not valid; give a number")
+                raise InvalidInput(f"{name} = {shown(value)} is not valid; give a number")
         start, stop = self.start_time, self.stop_time
         if not (math.isfinite(stop - start) and stop > start):
             raise InvalidInput(f"stop_time {stop:g} must be finite and after start_time {start:g}")

@@ -21,6 +21,7 @@ from congelation.cosim.exchange import Exchange
 from congelation.cosim.recording import Columns, Rows
 from congelation.cosim.result import RunEnded, Statistics, Status
 from congelation.cosim.system import ResolvedSystem
+from congelation.errors import counted
 
 __all__ = ["NOTICE", "Notice", "Progress", "Session", "just_before"]
 
@@ -263,8 +264,8 @@ class Session:
         if self.steps + self.rejected >= self._max_steps and time < self.stop:
             raise RunEnded(
                 Status.TOO_MANY_STEPS,
-                f"{self.steps} steps (and {self.rejected} taken back) reached t = {time:.9g} of "
-                f"{self.stop:.9g}; the last one was {length:.3g} s long",
+                f"{counted(self.steps, 'step')} (and {self.rejected} taken back) reached "
+                f"t = {time:.9g} of {self.stop:.9g}; the last one was {length:.3g} s long",
             )
         if self._progress is not None and (now := clock.monotonic()) >= self._next_report:
             if now >= self._next_look:

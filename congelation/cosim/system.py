@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, counted, nearest
 from congelation.fmi.description import Description, Variable, describe
 from congelation.fmi.start_values import StartValue, resolve_start
 from congelation.fmi.units import Conversion, conversion
@@ -357,9 +357,8 @@ def _pairs(
         return [(outputs[0], inputs[0])]
     by_index = {variable.name[len(input_name) :]: variable for variable in inputs}
     if sorted(by_index) != sorted(variable.name[len(output_name) :] for variable in outputs):
-        raise InvalidInput(
-            f"{place}: {len(outputs)} outputs for {len(inputs)} inputs; the indices must agree"
-        )
+        given, wanted = counted(len(outputs), "output"), counted(len(inputs), "input")
+        raise InvalidInput(f"{place}: {given} for {wanted}; the indices must agree")
     return [(variable, by_index[variable.name[len(output_name) :]]) for variable in outputs]
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import fmpy
 
+from congelation.errors import counted
 from congelation.fmi.description import describe
 
 __all__ = ["FmuInfo", "VariableInfo", "fmu_info"]
@@ -143,7 +144,7 @@ def _table(group: tuple[VariableInfo, ...]) -> list[str]:
     rows = []
     for key, members in merged.items():
         if key.endswith(".*"):
-            rows.append((key, "", "", f"{len(members)} parameters"))
+            rows.append((key, "", "", counted(len(members), "parameter")))
             continue
         first, last = members[0], members[-1]
         name = first.name if first is last else f"{first.name} .. {last.name.removeprefix(key)}"

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, amount, nearest, shown
 from congelation.fmi.description import Description, Variable
 
 __all__ = ["StartValue", "resolve_start"]
@@ -71,7 +71,7 @@ def _scalars(
 ) -> Iterator[tuple[Variable, object]]:
     """Pairs of a scalar variable and its value."""
     if not isinstance(value, list | tuple | np.ndarray):
-        yield _scalar_variable(description, name, place), value
+        yield _scalar_variable(description, name, value, place), value
         return
     array = _array(value, place)
     shape = _shape(description, name)
@@ -81,20 +81,24 @@ def _scalars(
             return
         raise InvalidInput(f"{place}: no vector '{name}'; {nearest(name, _groups(description))}")
     if array.shape != shape:
-        raise InvalidInput(f"{place}: shape {_text(array.shape)} given, {_text(shape)} needed")
+        raise InvalidInput(
+            f"{place}: {amount(array.shape, 'value')} given, {amount(shape, 'value')} needed"
+        )
     for index in np.ndindex(shape):
         element = f"{name}[{','.join(str(i + 1) for i in index)}]"
         yield description.variable(element, place), array[index]
 
 
-def _scalar_variable(description: Description, name: str, place: str) -> Variable:
+def _scalar_variable(description: Description, name: str, value: object, place: str) -> Variable:
     if name in description.variables:
         return description.variables[name]
     shape = _shape(description, name)
     if shape and math.prod(shape) == 1:
         return description.variables[f"{name}[{','.join('1' for _ in shape)}]"]
     if shape:
-        raise InvalidInput(f"{place}: a list of shape {_text(shape)} is needed")
+        raise InvalidInput(
+            f"{place}: {shown(value)} given, a list of {amount(shape, 'value')} needed"
+        )
     return description.variable(name, place)
 
 
@@ -129,10 +133,6 @@ def _shape(description: Description, name: str) -> tuple[int, ...]:
     return _groups(description).get(name, ())
 
 
-def _text(shape: tuple[int, ...]) -> str:
-    return " x ".join(str(size) for size in shape) or "of a scalar"
-
-
 def _typed(variable: Variable, value: object, place: str) -> float | int | bool | str:
     """The value as the variable's own type."""
     if not variable.settable:
@@ -147,7 +147,7 @@ def _typed(variable: Variable, value: object, place: str) -> float | int | bool 
             if value in (name, item) and not isinstance(value, float):
                 return item
         known = ", ".join(f"'{name}' ({item})" for name, item in variable.items)
-        raise InvalidInput(f"{place}: {value!r} is no item of the enumeration; valid: {known}")
+        raise InvalidInput(f"{place}: {shown(value)} is no item of the enumeration; valid: {known}")
     if variable.type == "String" and isinstance(value, str):
         return value
     if variable.type == "Boolean" and (isinstance(value, bool) or value in (0, 1)):
@@ -165,7 +165,7 @@ def _typed(variable: Variable, value: object, place: str) -> float | int | bool 
         if not math.isfinite(number):
             raise InvalidInput(f"{place}: {number} is no value; give a finite number")
         return number
-    raise InvalidInput(f"{place}: {value!r} given, {_WANTED[variable.type]} needed")
+    raise InvalidInput(f"{place}: {shown(value)} given, {_WANTED[variable.type]} needed")
 
 
 _WANTED = {

@@ -122,7 +122,7 @@ def _design(found: Certification) -> Iterator[str]:
         ]
         yield from table(["worst state"], lines, "The worst state that the search met")
         yield (
-            f'<p class="note">{finding.samples} states were drawn; at {finding.discarded} a term '
+            f'<p class="note">States drawn: {finding.samples}; at {finding.discarded} a term '
             f"overflowed, at {finding.resolved} the promised rate stands out of the rounding.</p>"
         )
     yield "<details><summary>The design</summary>"

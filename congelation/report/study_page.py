@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from congelation.errors import counted
 from congelation.report.curves import PICKED, Curve, Panel, curve_panels, draw_panels
 from congelation.report.page_shell import Drawn, swatch, table
 from congelation.report.summary import label_of, number, summarise
@@ -69,11 +70,11 @@ def study_content(
     if not kept:
         note += "No trajectories were kept; trajectories = true under [sweep] keeps them."
     elif len(embedded) == len(kept):
-        note += f"The trajectories of {len(kept)} runs are in this page."
+        note += f"The trajectories of {counted(len(kept), 'run')} are in this page."
     else:
         note += (
-            f"The trajectories of {len(embedded)} of {len(kept)} runs are in this page; of the "
-            "others it names the file."
+            f"The trajectories of {len(embedded)} of {counted(len(kept), 'run')} are in this "
+            "page; of the others it names the file."
         )
     if any(len(recorded.time) > POINTS for recorded in embedded.values()):
         note += (

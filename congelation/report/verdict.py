@@ -412,11 +412,11 @@ def _price_of_study(study: Study, variants: Mapping[str, Sequence[RunRecord]]) -
         between = "" if low == middle == high else f" (median at equal settings; {low} to {high})"
         times = f"{middle} times that of {listed(compared)}{between}"
         said.setdefault(kind, []).append(times if kind else f"{listed(compared)}{between}")
-    for kind, ratios in said.items():
+    for kind, parts in said.items():
         if kind:
-            yield f"{first} {kind} a peak of |u| that is {listed(ratios)}."
+            yield f"{first} {kind} a peak of |u| that is {listed(parts)}."
         else:
-            yield f"The peak of |u| of {first} is within 5 % of that of {listed(ratios)}."
+            yield f"The peak of |u| of {first} is within 5 % of that of {listed(parts)}."
 
 
 def _named(study: Study, kind: str) -> str | None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import numpy.typing as npt
 
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, counted, nearest
 from congelation.results.print_figures import WIDTH, draw, draw_panels
 from congelation.results.record import GROUPS, RunRecord, Study, Trajectory
 from congelation.results.store import Store
@@ -91,7 +91,7 @@ class Runs(Sequence[RunRecord]):
         for number, record in enumerate(self):
             if number == place:
                 return record
-        raise IndexError(f"there are {len(self)} runs, and none of them has the number {key}")
+        raise IndexError(f"no run has the number {key}; there are {len(self)}")
 
     def _column(self, name: str) -> npt.NDArray[Any]:
         """One column: numbers with nan for what is missing, or objects."""
@@ -245,13 +245,14 @@ class Results:
     def __repr__(self) -> str:
         title = self.about.get("title", "") if self.store.database.is_file() else ""
         more = len(self.runs) - SHOWN
-        lines = [f"{title or 'Results'}: {len(self.runs)} runs in {self.folder}"]
+        lines = [f"{title or 'Results'}: {counted(len(self.runs), 'run')} in {self.folder}"]
         if len(self.runs):
             lines.append(repr(self.runs))
         return "\n".join([*lines, *([f".. and {more} more"] if more > 0 else [])])
 
     def _repr_html_(self) -> str:
-        text = f"{self.about.get('title', 'Results')}: {len(self.runs)} runs in {self.folder}"
+        title, runs = self.about.get("title", "Results"), counted(len(self.runs), "run")
+        text = f"{title}: {runs} in {self.folder}"
         return f"<p>{html.escape(text)}</p>{self.runs._repr_html_()}"
 
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from congelation import keys
 from congelation.cosim.system import System
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, counted, shown
 from congelation.scenario.axes import Sweep
 from congelation.scenario.parts import (
     EXPERIMENT,
@@ -125,7 +125,7 @@ class Scenario:
         ]
         lines = [
             f"Scenario: {self.title}",
-            f"  components: {fmus}; {len(self.system.connections)} connections",
+            f"  components: {fmus}; {counted(len(self.system.connections), 'connection')}",
             f"  {experiment.start_time:g} .. {experiment.stop_time:g} s, "
             + ", ".join([f"coupling {experiment.coupling}", *steps]),
             "  variants: " + ", ".join(variant.name for variant in self.variants),
@@ -134,7 +134,9 @@ class Scenario:
             lines.append("  metrics: " + ", ".join(metric.name for metric in self.metrics))
         if self.sweep is not None:
             axes = len(self.sweep.lists) + len(self.sweep.axes)
-            lines.append(f"  sweep: {axes} axes, {self.sweep.samples} samples")
+            lines.append(
+                f"  sweep: {counted(axes, 'axis', 'axes')}, {counted(self.sweep.samples, 'sample')}"
+            )
         return "\n".join(lines)
 
     @classmethod
@@ -186,7 +188,7 @@ class Scenario:
                 admitted = keys.EXPERIMENT[name]
                 if isinstance(value, float) and not admitted.admits(value):
                     raise InvalidInput(
-                        f"{self.place}: {EXPERIMENT}.{name} = {value!r} is not valid; "
+                        f"{self.place}: {EXPERIMENT}.{name} = {shown(value)} is not valid; "
                         f"give {admitted.valid}"
                     )
             values = {f.name: getattr(experiment, f.name) for f in fields(experiment)}

@@ -19,7 +19,7 @@ from typing import Any, cast
 
 from congelation.cosim.coupling import Auto, refuse_tolerance
 from congelation.cosim.result import Status
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, counted
 from congelation.fmi.description import describe
 from congelation.results.identity import (
     ID_LENGTH,
@@ -211,7 +211,8 @@ def _refuse_other_runs(store: Store, scenario: Scenario, swept: bool, resume: bo
     if swept:
         if not resume:
             raise InvalidInput(
-                f"{store.root} holds {done} finished runs; give --resume to go on, or another --out"
+                f"{store.root} holds {counted(done, 'finished run')}; give --resume to go on, "
+                "or another --out"
             )
         return
     newest = store.about()

@@ -14,7 +14,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from congelation.errors import InfeasibleDesign, InvalidInput
+from congelation.errors import InfeasibleDesign, InvalidInput, amount, shown
 from congelation.theory.riccati import (
     Exact,
     definite_inverse,
@@ -342,7 +342,7 @@ def matched_riccati(
         raise InfeasibleDesign(
             "the Riccati equation for P cannot be solved in double precision with "
             f"rho = {rho:.9g}, epsilon = {epsilon:.9g}, delta = {delta:.9g}, "
-            f"Q = {weight.tolist()}; give values closer together"
+            f"Q = {shown(weight)}; give values closer together"
         )
     raise InfeasibleDesign(
         f"rho = {rho:.9g} is infeasible with epsilon = {epsilon:.9g}, delta = {delta:.9g}: the "
@@ -446,7 +446,7 @@ def _game_riccati(A: Matrix, B: Matrix, Q: Matrix, weight: float) -> Matrix | No
 def _square(value: ArrayLike, n: int, name: str) -> Matrix:
     array = np.asarray(value, dtype=float)
     if array.shape != (n, n):
-        raise InvalidInput(f"{name} has shape {array.shape}; valid: ({n}, {n})")
+        raise InvalidInput(f"{name} = {shown(array)} is not valid; give {amount((n, n))}")
     return array
 
 
@@ -458,7 +458,7 @@ def _positive_definite(Q: ArrayLike) -> Matrix:
         symmetric = np.abs(given - weight).max() <= SYMMETRY_TOLERANCE * np.abs(given).max()
         if symmetric and is_definite(exact(weight)):
             return weight
-    raise InvalidInput(f"Q = {given.tolist()}; valid: symmetric and positive definite")
+    raise InvalidInput(f"Q = {shown(given)}; valid: symmetric and positive definite")
 
 
 def _check_positive(**values: float) -> None:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, counted
 from congelation.export.assumptions import HORIZON, spec_assumptions, structured
 from congelation.export.spec import Spec, read_spec
 from congelation.scenario.load import load_scenario
@@ -272,7 +272,8 @@ def certify_design(design: Design, samples: int = 1000, seed: int = 0) -> Certif
     if finding.resolved < LEAST_RESOLVED * samples:
         reason = (
             f"the promised rate is below the rounding of V' at {samples - finding.resolved} of "
-            f"{samples} states; give parameters nearer to 1, the most extreme is {finding.extreme}"
+            f"{counted(samples, 'state')}; give parameters nearer to 1, the most extreme "
+            f"is {finding.extreme}"
         )
         return Certification(design, Verdict.PRECISION, (reason,), finding)
     ultimate = None

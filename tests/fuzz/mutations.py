@@ -162,7 +162,7 @@ KEYS = (
         "start shape",
         _to("x0 = [1.0]", lambda r: f"x0 = {[1.0] * r.randint(2, 9)}"),
         2,
-        r"shape \d+ given, 1 needed",
+        r"\d values given, 1 value needed",
     ),
     Mutation("start type", _to("x0 = [1.0]", lambda r: f"x0 = {no_number(r)}"), 2, r"x0"),
     Mutation(

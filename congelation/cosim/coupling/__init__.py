@@ -30,7 +30,7 @@ from congelation.cosim.coupling.derivative import Derivative
 from congelation.cosim.coupling.held import GaussSeidel, Jacobi, Sampled
 from congelation.cosim.coupling.hermite import Hermite
 from congelation.cosim.coupling.model_exchange import ModelExchange
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, nearest, shown
 
 __all__ = [
     "COUPLINGS",
@@ -77,7 +77,7 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
         if option not in known:
             hint = nearest(option, known) if known else "it takes no options"
             raise InvalidInput(f"coupling '{name}': no option '{option}'; {hint}")
-        _check_type(f"coupling '{name}': {option} = {value!r}", value, types[option])
+        _check_type(f"coupling '{name}': {option} = {shown(value)}", value, types[option])
     for field in fields:
         if field.default is dataclasses.MISSING and field.name not in given:
             raise InvalidInput(f"coupling '{name}' needs the option '{field.name}'")

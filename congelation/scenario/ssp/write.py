@@ -19,7 +19,7 @@ from pathlib import Path
 
 from lxml import etree
 
-from congelation.cosim.system import ResolvedSystem
+from congelation.cosim.system import ResolvedSystem, System
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import Variable
 from congelation.fmi.start_values import StartValue
@@ -50,6 +50,7 @@ def write_ssp(
     *,
     derivatives: bool = False,
     step: float | None = None,
+    native: bool = False,
 ) -> None:
     """Write one variant of a scenario as an SSP archive.
 
@@ -69,12 +70,15 @@ def write_ssp(
     step : float, optional
         Communication step for tools that have no other, in seconds; that of the experiment if it
         has one and no tolerance.
+    native : bool
+        Whether the archive takes the native twins of the FMUs: those of the same name in the
+        folder ``native`` beside them.
 
     Raises
     ------
     InvalidInput
-        Another ending than .ssp, no such variant, or a connection from a variable that is no
-        output, for which SSP has no connector.
+        Another ending than .ssp, no such variant, no such native FMU, or a connection from a
+        variable that is no output, for which SSP has no connector.
     StoreError
         If the file cannot be written.
 
@@ -89,7 +93,7 @@ def write_ssp(
         raise InvalidInput(f"{file}: the name of an SSP archive ends in .ssp")
     chosen = _variant(scenario, variant)
     case = scenario.case(chosen.settings)
-    resolved = case.system.resolve()
+    resolved = (_native_twins(case.system) if native else case.system).resolve()
     contents = Contents()
     root = _root(scenario, file)
     system = _add(root, "ssd:System", name="system")
@@ -118,6 +122,21 @@ def write_ssp(
     )
     contents.add(SSD, _document(root))
     replace_whole(file, contents.write)
+
+
+def _native_twins(system: System) -> System:
+    """The system with the native twin of each FMU."""
+    components = []
+    for component in system.components:
+        fmu = Path(component.fmu)
+        twin = fmu if fmu.parent.name == "native" else fmu.parent / "native" / fmu.name
+        if not twin.is_file():
+            raise InvalidInput(
+                f"component '{component.name}': no native FMU at {twin}; build it with: "
+                "congelation build SPEC.toml --native"
+            )
+        components.append(replace(component, fmu=twin))
+    return replace(system, components=tuple(components))
 
 
 def _variant(scenario: Scenario, name: str | None) -> Variant:
