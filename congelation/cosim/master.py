@@ -184,11 +184,13 @@ def perform(
     if not outputs or any(further.sink is None for further in outputs[1:]):
         raise InvalidInput("of several outputs, all but the first need a sink")
     require_resolved_periods(experiment, outputs)
-    resolved = without(system.resolve(), lacks)
+    # What holds its inputs sends no derivatives but those that are connected explicitly.
+    exchange = isinstance(experiment.chosen_coupling, ModelExchange)
+    held = not (exchange or experiment.chosen_coupling.needs_derivatives)
+    resolved = without(system.resolve(held=held), lacks)
     require_abilities(resolved, experiment)
     recorded = resolved.recorded(experiment.record)
     names = tuple(item.name for item in recorded)
-    exchange = isinstance(experiment.chosen_coupling, ModelExchange)
     kinds = tuple((output.every, output.interval) for output in outputs)
     memory = Memory()
     status, message, statistics = Status.COMPLETED, Status.COMPLETED.value, Statistics()

@@ -149,11 +149,13 @@ def _typed(variable: Variable, value: object, place: str) -> float | int | bool 
         known = ", ".join(f"'{name}' ({item})" for name, item in variable.items)
         raise InvalidInput(f"{place}: {shown(value)} is no item of the enumeration; valid: {known}")
     if variable.type == "String" and isinstance(value, str):
+        if "\0" in value:
+            raise InvalidInput(f"{place}: {value!a} has a zero, at which a text ends in C")
         return value
     if variable.type == "Boolean" and (isinstance(value, bool) or value in (0, 1)):
         return bool(value)
     if variable.type == "Integer" and isinstance(value, int) and not isinstance(value, bool):
-        if abs(value) > LARGEST_INTEGER:
+        if not -LARGEST_INTEGER - 1 <= value <= LARGEST_INTEGER:
             raise InvalidInput(f"{place}: {value} does not fit in 32 bits")
         return value
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
