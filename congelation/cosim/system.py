@@ -6,12 +6,13 @@ descriptions alone, so a mistake is found before anything runs.
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from congelation.errors import InvalidInput, counted, nearest
+from congelation.errors import InvalidInput, counted, nearest, require, require_all
 from congelation.fmi.description import Description, Variable, describe
 from congelation.fmi.start_values import StartValue, resolve_start
 from congelation.fmi.units import Conversion, conversion
@@ -56,6 +57,13 @@ class Component:
     fmu: Path
     start: Mapping[str, object] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        require(self.name, str, "Component.name", "a string")
+        require(self.fmu, (str, os.PathLike), f"component '{self.name}': fmu", "a path")
+        require(self.start, Mapping, f"component '{self.name}': start", "values by name")
+        for name in self.start:
+            require(name, str, f"component '{self.name}': a name in start", "a string")
+
 
 @dataclass(frozen=True)
 class Connection:
@@ -72,6 +80,10 @@ class Connection:
 
     source: str
     target: str
+
+    def __post_init__(self) -> None:
+        require(self.source, str, "Connection.source", "a string, component.variable")
+        require(self.target, str, "Connection.target", "a string, component.variable")
 
     @classmethod
     def parse(cls, text: str) -> Connection:
@@ -210,6 +222,7 @@ class ResolvedSystem:
         InvalidInput
             A name that does not exist.
         """
+        require_all(names, str, key, "a string, component.variable")
         found: dict[str, Recorded] = {}
         for name in names:
             what = f"{key} '{name}'"
@@ -242,6 +255,15 @@ class System:
 
     components: tuple[Component, ...]
     connections: tuple[Connection, ...] = ()
+
+    def __post_init__(self) -> None:
+        require_all(self.components, Component, "System.components", "a Component")
+        require_all(
+            self.connections,
+            Connection,
+            "System.connections",
+            "a Connection, such as Connection.parse('plant.x -> controller.x')",
+        )
 
     def resolve(self, *, held: bool = False) -> ResolvedSystem:
         """Find every name.
