@@ -10,7 +10,7 @@ import json
 import re
 import shutil
 from collections.abc import Iterator, Sequence
-from enum import Enum
+from enum import Enum, EnumType
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -217,6 +217,9 @@ def python() -> list[str]:
         if kind == "autoclass":
             lines += ["   :members:"]
         lines += ["```", ""]
+        if isinstance(getattr(cg, name), EnumType):
+            rows = [(f"`{member.name}`", member.value) for member in getattr(cg, name)]
+            lines += table(["name", "value"], rows)
     return lines
 
 

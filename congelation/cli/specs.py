@@ -162,7 +162,13 @@ def certify(
         # Of a design that nothing was searched of, the verdict and its reason say all.
         lines = [_line(one, one.finding) for one in found if one.finding is not None]
         if lines:
-            columns = ["worst margin", "relative", "delta", "radius of theta", ""]
+            columns = [
+                "worst margin",
+                "relative margin",
+                "delta",
+                "radius of theta",
+                "result",
+            ]
             print_table(f"{file}", columns, lines)
     for certification in found:
         name = certification.design.name

@@ -125,7 +125,7 @@ class Checker:
         elif not self._has_binary():
             why = f"no binary for this platform ({platform_folder()})"
         elif static:
-            why = "the others were not asked for"
+            why = "dynamic rules were not asked for"
         if why:
             return f"{what}, {only}: {why}", True, why
         return f"{what}, static rules and dynamic rules on {platform_folder()}", True, ""

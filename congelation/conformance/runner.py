@@ -92,7 +92,7 @@ def check(
     static : bool
         Only the rules that look at the archive and its XML.
     known : Path or str, optional
-        A TOML file of accepted findings (`congelation.conformance.accepted.read_known`).
+        A TOML file of accepted findings, ``[[known]]`` (docs/conformance.md).
     jobs : int, optional
         How many rules to run at the same time; as many as there are processors unless given.
     time_limit : float

@@ -67,7 +67,8 @@ def attack(
         A loop of a plant and its controller. Admissible is the box that the profile of theta fills;
         where it is constant, the ball of radius delta about it.
     objectives : sequence of str
-        Of `OBJECTIVES`, or names of the scenario's metrics.
+        ``peak``, the largest ``|x|``; ``ise``, the integral of its square; ``late``, the largest
+        after it had settled; or names of the scenario's metrics.
     variants : sequence of str, optional
         Names; all where left out.
     effort : float

@@ -132,7 +132,7 @@ def tune(
     workers: int = 1,
     out: Path | None = None,
     resume: bool = False,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Tuning:
     """Search for gains that meet a wish.
 
@@ -141,7 +141,8 @@ def tune(
     spec : path
         A spec; its x0, theta(t) and delta stay as they are.
     wishes : mapping, optional
-        Upper bounds by `OBJECTIVES`; the spec's own settling and effort where left out.
+        Upper bounds of ``settling`` (seconds), ``effort`` (the integral of u^2) and ``peak_input``
+        (the largest ``|u|``); the spec's own settling and effort where left out.
     below : float
         What ``|x|`` has to stay below to count as settled, in the units of x.
     stop_time : float
@@ -158,7 +159,7 @@ def tune(
         A result directory (`cg.open_results`), which gets each candidate as a run at once.
     resume : bool
         Take the candidates that the directory has from there.
-    progress : callable
+    progress : callable, optional
         Called with the number of candidates solved, and of all.
 
     Raises
@@ -181,7 +182,8 @@ def tune(
     with Candidates(evaluator, workers, out, resume) as candidates:
 
         def count() -> None:
-            progress(min(len(candidates.solved), evaluations), evaluations)
+            if progress is not None:
+                progress(min(len(candidates.solved), evaluations), evaluations)
 
         for share, goal in zip(SHARES, _goals(wanted, asked), strict=True):
             _descend(candidates, goal, int(share * evaluations), seed, count)

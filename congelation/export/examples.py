@@ -63,8 +63,9 @@ def write_starter(
     folder : Path or str
         Where to make it.
     source : Path, str, mapping or python-control system, optional
-        The transfer function of the plant, see `congelation.export.transfer`; without one the
-        spec is of an example in state feedback.
+        The transfer function of the plant: a TOML file or a mapping with ``numerator`` and
+        ``denominator``, whose coefficients may be intervals; without one the spec is of an example
+        in state feedback.
     spread : float
         Half the width of the intervals of the coefficients of its denominator that are given as
         numbers, relative to them.

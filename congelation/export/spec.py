@@ -118,7 +118,7 @@ class FmuSpec:
 
 @dataclass(frozen=True)
 class Spec:
-    """What to build FMUs of, as `read_spec` read it.
+    """What to build FMUs of: a spec that was read and checked.
 
     Attributes
     ----------

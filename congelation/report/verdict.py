@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import pairwise
 from statistics import median
 from typing import Any
 
@@ -31,6 +33,12 @@ FEW = 12
 
 LISTED = 4
 """Variants up to which a sentence on a run names each of them; their tiles have the numbers."""
+
+_TREND = 1.5
+"""Of settling times the largest and the least, from which on their course is worth telling."""
+
+_TERM = re.compile(r"(?<!profile)\[\d+\](?=\.\w+$)")
+"""The number of a term of a profile: ``sine[1].omega``."""
 
 _DEAR = 1.05
 """A peak of |u| that is larger than the least by less than 5 % is no price."""
@@ -91,19 +99,23 @@ def _price(priced: Mapping[str, float]) -> Iterator[str]:
     """What the variants pay whose peak of |u| is clearly above the least."""
     dear = sorted(((p, v) for v, p in priced.items() if p >= _DEAR), reverse=True)
     if not dear:
+        if priced:
+            yield "Their peaks of |u| differ by less than 5 %."
         return
     cheapest = min(priced, key=lambda v: priced[v])
     if len(dear) > LISTED:
         (most, first), (least, last) = dear[0], dear[-1]
         yield (
-            f"{len(dear)} variants pay, from {last} {number(_round(least))} times to {first} "
-            f"{number(_round(most))} times the peak of |u| of {cheapest}."
+            f"{len(dear)} variants pay with a larger peak of |u| than {cheapest}: from "
+            f"{number(_round(least))} times ({last}) to {number(_round(most))} times ({first})."
         )
         return
     (most, first), *rest = dear
-    others = [f"{variant} {number(_round(ratio))} times" for ratio, variant in rest]
-    costs = listed([f"{first} pays {number(_round(most))} times", *others])
-    yield f"{costs} the peak of |u| of {cheapest}."
+    others = [
+        f"{variant} with one that is {number(_round(ratio))} times" for ratio, variant in rest
+    ]
+    peak = f"{first} pays with a peak of |u| that is {number(_round(most))} times"
+    yield f"{listed([peak, *others])} that of {cheapest}."
 
 
 def tiles(study: Study, peaks: Mapping[str, float]) -> Iterator[tuple[str, list[tuple[str, str]]]]:
@@ -188,7 +200,8 @@ def axes_of(study: Study) -> dict[str, list[Any]]:
 def short_names(names: Iterable[str]) -> dict[str, str]:
     """Settings by the shortest end that tells them apart.
 
-    ``plant.profile[1].sine[1].omega`` is omega; beside ``..square[1].omega`` it is sine[1].omega.
+    ``plant.profile[1].sine[1].omega`` is omega; beside ``..square[1].omega`` it is sine.omega, the
+    number of the term left out as in a scenario where that is enough.
     """
 
     def ends(name: str) -> list[str]:
@@ -196,7 +209,10 @@ def short_names(names: Iterable[str]) -> dict[str, str]:
         return [".".join(parts[k:]) for k in range(len(parts) - 1, -1, -1)]
 
     counts = Counter(end for name in {*names} for end in ends(name))
-    return {name: next((e for e in ends(name) if counts[e] == 1), name) for name in names}
+    found = {name: next((e for e in ends(name) if counts[e] == 1), name) for name in names}
+    plain = {name: _TERM.sub("", end) for name, end in found.items()}
+    times = Counter(plain.values())
+    return {name: plain[name] if times[plain[name]] == 1 else end for name, end in found.items()}
 
 
 def unit_of(study: Study, setting: str) -> str:
@@ -227,7 +243,7 @@ def study_verdict(study: Study) -> Iterator[str]:
             count = f"all {len(runs)} runs" if len(runs) > 1 else "its only run"
             said = count if good else f"none of {len(runs)} runs"
             if good and len(variants) <= LISTED:
-                said += _times(study, runs)
+                said += _times(study, runs, axes, short)
         else:
             limits = []
             for name, values in axes.items():
@@ -241,17 +257,61 @@ def study_verdict(study: Study) -> Iterator[str]:
     for said, names in same.items():
         each = said.replace("its only run", "their only runs") if len(names) > 1 else said
         yield f"{listed(names)} {one if len(names) == 1 else several}{end} in {each}."
+    if len(variants) > LISTED:
+        yield from _extremes(study, variants)
     yield from _price_of_study(study, variants)
 
 
-def _times(study: Study, runs: Sequence[RunRecord]) -> str:
-    """After what time runs settle that all do; empty where that was not measured."""
+def _times(
+    study: Study,
+    runs: Sequence[RunRecord],
+    axes: Mapping[str, Sequence[Any]],
+    short: Mapping[str, str],
+) -> str:
+    """After what time runs settle that all do; empty where that was not measured.
+
+    Where the time follows the only axis, growing or falling, both of its ends are told.
+    """
     name = _named(study, "settling_time")
     if not name:
         return ""
     times = sorted(run.metrics[name] or 0.0 for run in runs)
     low, middle, high = (number(v) for v in (times[0], median(times), times[-1]))
+    if len(axes) == 1 and times[-1] >= _TREND * times[0]:
+        ((axis, values),) = axes.items()
+        medians = [
+            median(there)
+            for value in values
+            if (there := [r.metrics[name] or 0.0 for r in runs if r.settings.get(axis) == value])
+        ]
+        steps = [b - a for a, b in pairwise(medians)]
+        # A step back by 1 % of the range is no change of direction.
+        slack = 0.01 * (max(medians) - min(medians))
+        if len(medians) == len(values) and (min(steps) > -slack or max(steps) < slack):
+            unit = unit_of(study, axis)
+            return (
+                f", after {number(medians[0])} s at {short[axis]} = {number(values[0])}{unit} and "
+                f"after {number(medians[-1])} s at {number(values[-1])}{unit}"
+            )
     return f", after {middle} s" + (f" (median; {low} to {high} s)" if low != high else "")
+
+
+def _extremes(study: Study, variants: Mapping[str, Sequence[RunRecord]]) -> Iterator[str]:
+    """Of many variants the ones that settle first and last, by their median times."""
+    name = _named(study, "settling_time")
+    if not name:
+        return
+    medians = {}
+    for variant, runs in variants.items():
+        times = [run.metrics[name] if settled(study, run) else math.inf for run in runs]
+        if math.isfinite(middle := median(t if t is not None else math.inf for t in times)):
+            medians[variant] = middle
+    if len(medians) > 1:
+        first, last = (extreme(medians, key=lambda v: medians[v]) for extreme in (min, max))
+        yield (
+            f"The median settling time is least for {first} ({number(medians[first])} s) and "
+            f"largest for {last} ({number(medians[last])} s)."
+        )
 
 
 def settling_rule(study: Study) -> str:
@@ -330,7 +390,6 @@ def _price_of_study(study: Study, variants: Mapping[str, Sequence[RunRecord]]) -
             found.setdefault((middle, low, high), []).append(other)
     if not found:
         return
-    pays = "pays with" if any(float(middle) > 1.0 for middle, _, _ in found) else "needs only"
     if sum(len(compared) for compared in found.values()) > LISTED:
         (least, last), (most, top) = (
             (middle, compared[0])
@@ -339,16 +398,25 @@ def _price_of_study(study: Study, variants: Mapping[str, Sequence[RunRecord]]) -
                 for extreme in (min, max)
             )
         )
+        pays = "pays with" if float(most) >= _DEAR else "needs only"
         yield (
             f"{first} {pays} a peak of |u| from {least} times that of {last} to {most} times "
             f"that of {top} (medians at equal settings)."
         )
         return
-    said = []
+    # What is dear, what is cheap, and what costs the same, in a sentence each.
+    said: dict[str, list[str]] = {}
     for (middle, low, high), compared in found.items():
+        ratio = float(middle)
+        kind = "pays with" if ratio >= _DEAR else "needs only" if ratio <= 1.0 / _DEAR else ""
         between = "" if low == middle == high else f" (median at equal settings; {low} to {high})"
-        said.append(f"{middle} times that of {listed(compared)}{between}")
-    yield f"{first} {pays} a peak of |u| that is {listed(said)}."
+        times = f"{middle} times that of {listed(compared)}{between}"
+        said.setdefault(kind, []).append(times if kind else f"{listed(compared)}{between}")
+    for kind, parts in said.items():
+        if kind:
+            yield f"{first} {kind} a peak of |u| that is {listed(parts)}."
+        else:
+            yield f"The peak of |u| of {first} is within 5 % of that of {listed(parts)}."
 
 
 def _named(study: Study, kind: str) -> str | None:

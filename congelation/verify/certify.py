@@ -191,8 +191,7 @@ def certify(
         Of the random states.
     umax : float, optional
         Limit of the size of a saturated control, in the unit of u: for each design that holds, the
-        largest level set of V in which it never saturates is looked for, see
-        `congelation.theory.saturation`.
+        largest level set of V in which it never saturates is looked for.
 
     Returns
     -------
