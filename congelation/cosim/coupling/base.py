@@ -42,12 +42,15 @@ class Trial(NamedTuple, Generic[S]):
         The error falls with this power of the step.
     worst : int
         The link of the largest error.
+    missed : array, shape (L,), or None
+        The distance of each link from what was predicted, where inputs are.
     """
 
     state: S
     error: float
     order: int
     worst: int
+    missed: Floats | None = None
 
 
 class Stepper(ABC, Generic[S]):

@@ -200,7 +200,8 @@ class DerivativeStepper(AdaptiveStepper[Points]):
         distance = np.abs(w[0] + (end - time) * w[1] - values)
         relative = self._reader.relative(distance, values)
         worst = int(relative.argmax())
-        return Trial(after, float(relative[worst]), ORDER, worst)
+        missed = distance if self.predicts else None
+        return Trial(after, float(relative[worst]), ORDER, worst, missed)
 
     def _step(self, state: Points, time: float, end: float) -> tuple[Points, Floats]:
         """The state at the end, and w = (v0, d0, v1, d1), shape (4, L), of which the first two
