@@ -7,10 +7,19 @@ Property-based tests draw the same 40 examples in every run of `make test`, and 
 import os
 import signal
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+
+from congelation.cli import runs
+from congelation.sweep import engine
+from tests.studies import workers
+
+# A package that is compiled anew in each of the thousands of processes costs minutes.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 # Matrices here are small: threads only wait for each other, and on a busy machine for minutes.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -62,6 +71,17 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         item.add_marker(pytest.mark.slow)
     # First, so that no long file is left for the end, when the other processes have nothing to do.
     items.sort(key=lambda item: not is_slow(item))
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Run the studies of a test in this process, unless it is marked ``workers``.
+
+    A worker process takes most of a second to start, and most tests of `run` and `sweep` are about
+    what comes before or after the runs.
+    """
+    place = partial(workers, item.get_closest_marker("workers") is not None)
+    runs.Local = engine.Local = place  # type: ignore[assignment,misc]
 
 
 _STATUS = pytest.StashKey[int]()

@@ -336,7 +336,7 @@ def _of_scenario(scenario: Scenario) -> list[Design]:
             found = reference(_alone(case))
             remarks = case_assumptions(case)
         except InvalidInput as error:
-            raise InvalidInput(f"{scenario.file}: {variant.name}: {error}") from error
+            raise InvalidInput(f"{scenario.place}: {variant.name}: {error}") from error
         stop = case.experiment.stop_time
         radius = _radius(found.loop, found.profiles, found.offsets, stop)
         bounds = [

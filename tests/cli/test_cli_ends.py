@@ -205,7 +205,7 @@ coupling = "derivative"
 def test_steps_that_collapse_are_told_while_the_run_goes_on(tmp_path: Path, form: str) -> None:
     file = tmp_path / "slow.toml"
     file.write_text(SLOW.format(fmu=plain_fmu(tmp_path)))
-    ended = process("run", file, "--out", tmp_path / "out", "--timeout", "8", "--progress", form)
+    ended = process("run", file, "--out", tmp_path / "out", "--timeout", "5", "--progress", form)
     assert ended.returncode == 1, ended.stderr
     assert "Traceback" not in ended.stderr
     said = [line for line in ended.stderr.splitlines() if "the steps are" in line]
@@ -223,9 +223,12 @@ def test_steps_that_collapse_are_told_while_the_run_goes_on(tmp_path: Path, form
     )
     (row,) = open_results(tmp_path / "out").runs.rows()
     assert row["status"] == "TIMED_OUT"
-    # max_steps ends it as well, before anything has to be said.
+
+
+def test_a_run_that_max_steps_ends_has_nothing_to_tell_before(tmp_path: Path) -> None:
+    file = tmp_path / "slow.toml"
     file.write_text(SLOW.format(fmu=plain_fmu(tmp_path)) + "max_steps = 500\n")
-    ended = process("run", file, "--out", tmp_path / "few", "--progress", form)
+    ended = congelation("run", file, "--out", tmp_path / "few", "--progress", "json")
     (row,) = open_results(tmp_path / "few").runs.rows()
     assert row["status"] == "TOO_MANY_STEPS"
     assert "the steps are" not in ended.stderr
@@ -270,6 +273,7 @@ values = [2.0, 3.0, 4.0]
 """
 
 
+@pytest.mark.workers
 @pytest.mark.parametrize(
     ("fault", "said"),
     [

@@ -104,6 +104,7 @@ def test_failures_are_counted_and_none_that_begins_is_bad_input(tmp_path: Path) 
     assert line.startswith(f"congelation: {file}: Controller 1: step 1e-18 is too small")
 
 
+@pytest.mark.workers
 def test_a_timeout_beyond_all_clocks_is_none(tmp_path: Path) -> None:
     file = write(tmp_path, SCALAR + EPSILON.replace("[sweep]", "[sweep]\ntimeout = 1e300"))
     done = sweep(file, tmp_path / "out", "--progress", "quiet")
