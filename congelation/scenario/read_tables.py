@@ -234,7 +234,7 @@ def _open(resolved: ResolvedSystem, driven: Mapping[str, str], names: Iterable[s
     """The scalar inputs that names stand for."""
     found: set[str] = set()
     for name in names:
-        for entry in resolved.columns([name], "open"):
+        for entry in resolved.columns([name], "input"):
             if entry.variable.causality != "input":
                 raise InvalidInput(f"'{name}' is of causality {entry.variable.causality}, no input")
             if link := driven.get(entry.name):

@@ -14,6 +14,7 @@ from congelation.sweep.local import Local
 from tests.scenarios import FMUS
 
 PLANT = FMUS / "ScalarPlant.fmu"
+TO = "/nowhere/that/is/written"
 
 
 @pytest.mark.parametrize(
@@ -38,6 +39,23 @@ PLANT = FMUS / "ScalarPlant.fmu"
         (lambda: cg.Output(interval="1"), r"interval = '1' is not valid; give a number of seconds"),
         (lambda: cg.Sampled("1"), r"sample_time = '1' is not valid"),
         (lambda: cg.Sampled(0.1, delay=True), r"delay = true is not valid; give 0 or 1"),
+        (lambda: cg.certify("specs/scalar.toml", samples=0), r"samples = 0 is not valid"),
+        (lambda: cg.certify("specs/scalar.toml", seed=-1), r"seed = -1 is not valid"),
+        (lambda: cg.certify("specs/scalar.toml", umax="x"), r"umax = 'x' is not valid"),
+        (lambda: cg.tune("specs/scalar.toml", stop_time=float("inf")), r"stop_time = inf is not"),
+        (lambda: cg.tune("specs/scalar.toml", evaluations="9"), r"evaluations = '9' is not valid"),
+        (lambda: cg.attack("scenarios/scalar.toml", objectives=[]), r"objectives is empty"),
+        (lambda: cg.attack("scenarios/scalar.toml", variants=[]), r"variants is empty"),
+        (lambda: cg.attack("scenarios/scalar.toml", effort=float("inf")), r"effort = inf is not"),
+        (lambda: cg.attack("scenarios/scalar.toml", workers=0), r"workers = 0 is not valid"),
+        (lambda: cg.check([]), r"paths is empty; give the FMUs to check"),
+        (lambda: cg.check(PLANT), r"paths = .* is not valid; give a tuple, each entry the path"),
+        (lambda: cg.check([PLANT], jobs=0), r"jobs = 0 is not valid"),
+        (lambda: cg.check([PLANT], time_limit=float("nan")), r"time_limit = nan is not valid"),
+        (lambda: cg.run(None), r"scenario = None is not valid; give a Scenario, or the path"),
+        (lambda: cg.run("scenarios/scalar.toml", out=""), r"out is empty"),
+        (lambda: cg.run("scenarios/scalar.toml", out=TO, timeout=-1), r"timeout = -1 is not valid"),
+        (lambda: cg.run("scenarios/scalar.toml", out=TO, timeout="1"), r"timeout = '1' is not"),
         (lambda: Local(-1), r"workers = -1 is not valid; give a whole number of at least 1"),
         (lambda: Local(1.5), r"workers = 1\.5 is not valid"),
     ],

@@ -139,3 +139,19 @@ def test_a_start_value_out_of_range_and_a_text_left_open(tmp_path: Path) -> None
         f"{file}: component 'm': 'm.p' = 9, where its FMU states max = 5",
         f"{file}: variant 'low': 'm.p' = -1, where its FMU states min = 0",
     )
+
+
+def test_elements_that_count_from_0(tmp_path: Path) -> None:
+    """As those of C do; a list gives all of them, and one element is no vector."""
+    counted = (
+        '<ScalarVariable name="p" valueReference="3"',
+        '<ScalarVariable name="v[0]" valueReference="9" causality="input"><Real start="0"/>'
+        '</ScalarVariable><ScalarVariable name="v[1]" valueReference="10" causality="input">'
+        '<Real start="0"/></ScalarVariable><ScalarVariable name="p" valueReference="3"',
+    )
+    known = describe(fmu(tmp_path, *counted))
+    found = resolve_start(known, {"v": [5.0, 6.0]}, "here")
+    assert {start.variable.name: start.value for start in found} == {"v[0]": 5.0, "v[1]": 6.0}
+    for value in (5.0, [5.0]):
+        with pytest.raises(InvalidInput, match="2 values needed"):
+            resolve_start(known, {"v": value}, "here")

@@ -408,7 +408,8 @@ def _annotated(root: etree._Element, archive: Archive) -> dict[str, object]:
         return {}
     try:
         tables = json.loads(element.text or "")
-    except json.JSONDecodeError as error:
+    # Besides errors of JSON, those of a number of thousands of digits and of deep nesting.
+    except (ValueError, RecursionError) as error:
         raise archive.error(f"{SSD}: annotation '{ANNOTATION}': no JSON: {error}") from error
     if not isinstance(tables, dict):
         raise archive.error(f"{SSD}: annotation '{ANNOTATION}': give a JSON object")
