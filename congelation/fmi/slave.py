@@ -435,7 +435,7 @@ class Slave:
 
     def _reason(self, otherwise: str) -> str:
         message = self.log.error or (self.log.messages[-1] if self.log.messages else None)
-        return otherwise if message is None else message.line
+        return otherwise if message is None else message.line or otherwise
 
     def _check(self, function: str, status: int) -> None:
         if status > WARNING:

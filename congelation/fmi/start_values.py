@@ -100,8 +100,9 @@ def _scalars(
         raise InvalidInput(
             f"{place}: {amount(array.shape, 'value')} given, {amount(shape, 'value')} needed"
         )
+    first = _first_index(description, name)
     for index in np.ndindex(shape):
-        element = f"{name}[{','.join(str(i + 1) for i in index)}]"
+        element = f"{name}[{','.join(str(i + first) for i in index)}]"
         yield description.variable(element, place), array[index]
 
 
@@ -110,7 +111,8 @@ def _scalar_variable(description: Description, name: str, value: object, place: 
         return description.variables[name]
     shape = _shape(description, name)
     if shape and math.prod(shape) == 1:
-        return description.variables[f"{name}[{','.join('1' for _ in shape)}]"]
+        first = _first_index(description, name)
+        return description.variables[f"{name}[{','.join(str(first) for _ in shape)}]"]
     if shape:
         raise InvalidInput(
             f"{place}: {shown(value)} given, a list of {amount(shape, 'value')} needed"
@@ -145,8 +147,16 @@ def _groups(description: Description) -> dict[str, tuple[int, ...]]:
     return groups
 
 
+def _first_index(description: Description, name: str) -> int:
+    """From which number the elements of a vector count: 0 as in C where there is such an element,
+    else 1."""
+    found = (_indices(other) for other in description.variables)
+    return 0 if any(stem == name and 0 in index for stem, index in found) else 1
+
+
 def _shape(description: Description, name: str) -> tuple[int, ...]:
-    return _groups(description).get(name, ())
+    largest = _groups(description).get(name, ())
+    return tuple(size + 1 - _first_index(description, name) for size in largest)
 
 
 def _typed(variable: Variable, value: object, place: str) -> float | int | bool | str:
@@ -165,11 +175,13 @@ def _typed(variable: Variable, value: object, place: str) -> float | int | bool 
         known = ", ".join(f"'{name}' ({item})" for name, item in variable.items)
         raise InvalidInput(f"{place}: {shown(value)} is no item of the enumeration; valid: {known}")
     if variable.type == "String" and isinstance(value, str):
+        if "\0" in value:
+            raise InvalidInput(f"{place}: {value!a} has a zero, at which a text ends in C")
         return value
     if variable.type == "Boolean" and (isinstance(value, bool) or value in (0, 1)):
         return bool(value)
     if variable.type == "Integer" and isinstance(value, int) and not isinstance(value, bool):
-        if abs(value) > LARGEST_INTEGER:
+        if not -LARGEST_INTEGER - 1 <= value <= LARGEST_INTEGER:
             raise InvalidInput(f"{place}: {value} does not fit in 32 bits")
         return value
     is_number = isinstance(value, int | float) and not isinstance(value, bool)

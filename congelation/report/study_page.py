@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import counted
+from congelation.report.axes import FEW, axes_of, short_names, unit_of
 from congelation.report.curves import PICKED, Curve, Panel, curve_panels, draw_panels
 from congelation.report.page_shell import Drawn, swatch, table
 from congelation.report.summary import label_of, number, summarise
-from congelation.report.verdict import FEW, axes_of, settled, short_names, unit_of
+from congelation.report.verdict import settled
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 
@@ -216,7 +217,6 @@ def _counts(
             for variant in variants
             if not all(settled(study, run) for run in study.records if run.variant == variant)
         ]
-    others = "; the other variants in all" if len(rows) < len(variants) else ""
     yield '<div class="counts">'
     for name, values in axes.items():
         if not 1 < len(values) <= FEW:
@@ -233,8 +233,10 @@ def _counts(
                 cells.append(f"{sum(there)} of {len(there)}" if there else "–")
             lines.append((variant, cells))
         heads = [number(value) for value in values]
-        yield from table(heads, lines, f"How many runs {done}, by {names[name]}{others}")
+        yield from table(heads, lines, f"How many runs {done}, by {names[name]}")
     yield "</div>"
+    if len(rows) < len(variants):
+        yield f'<p class="note">The other variants {done} in all their runs.</p>'
 
 
 def _variant_controls(variants: Sequence[str]) -> Iterator[str]:

@@ -66,6 +66,8 @@ class WorkerProcess(SpawnProcess):
 
     def run(self) -> None:
         _end_with_parent()
+        # What FMUs print goes beside the results that the parent may print as JSON, not into them.
+        os.dup2(2, 1)
         _Child.pipe, _Child.under_way = self._sender, self.run_under_way
         CALLS.use(self.note)
         super().run()
