@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 import zipfile
 from pathlib import Path
 
@@ -371,3 +372,16 @@ def test_a_scheduler_ends_a_run_like_ctrl_c(tmp_path: Path, number: signal.Signa
     assert run.returncode == 130
     assert "Traceback" not in errors
     assert errors.splitlines()[-1] == "congelation: interrupted after 0 of 2 runs"
+
+
+@pytest.mark.parametrize("after", [0.3, 3.0], ids=["while it is loaded", "while processes start"])
+def test_an_interrupted_search_leaves_no_traceback_of_its_processes(
+    tmp_path: Path, after: float
+) -> None:
+    """A terminal sends Ctrl-C to the command and to its processes."""
+    run = start("attack", write(tmp_path), "--workers", 2, "--effort", 9, "--out", tmp_path / "a")
+    time.sleep(after)
+    os.killpg(run.pid, signal.SIGINT)
+    _, errors = run.communicate(timeout=60)
+    assert run.returncode == 130, errors
+    assert "Traceback" not in errors
