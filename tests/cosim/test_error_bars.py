@@ -32,6 +32,20 @@ def test_a_band_is_laid_over_the_maxima_of_the_difference():
     assert (found >= MARGIN * 2.0 * np.abs(difference[:, 0])).all()
 
 
+def test_an_error_that_alternates_is_not_taken_for_half_of_the_other_run():
+    """In an algebraic loop of gain -g with held inputs, the error is (-g)^n after n steps."""
+    n, g = np.arange(401), 0.9
+    error = (-g) ** n
+    difference = (error - g ** (2 * n))[:, None]
+    time = n / 400.0
+    found = bands(time, difference, 1.0, every_step=True)[:, 0]
+    assert (found >= np.abs(error)).all()
+    assert found[1:].max() < 2.5 * g < bands(time, difference, 1.0)[1:, 0].max()
+    smooth = np.sin(5.0 * time)[:, None]
+    same = bands(time, smooth, 1.0, every_step=True)
+    np.testing.assert_allclose(same, bands(time, smooth, 1.0), rtol=1e-3)
+
+
 def test_a_band_follows_the_times_and_not_the_rows():
     time = np.concatenate([np.linspace(0.0, 1.0, 1000), np.linspace(1.1, 10.0, 10)])
     difference = np.zeros((len(time), 1))

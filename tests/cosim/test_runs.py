@@ -305,7 +305,7 @@ def test_options_belong_to_a_name(loop):
         ("hermite", {"tolerance": -1.0}, "must lie between 0 and 1"),
         ("hermite", {"tolerance": math.inf}, "must lie between 0 and 1"),
         ("hermite", {"iterations": 1.5}, "iterations = 1.5: an integer is needed"),
-        ("hermite", {"iterations": True}, "iterations = True: an integer is needed"),
+        ("hermite", {"iterations": True}, "iterations = true: an integer is needed"),
         ("hermite", {"order": 5}, "order 5; valid: 4, 6"),
         ("hermite", {"order": "6"}, "order = '6': an integer is needed"),
         ("hermite", {"acceleration": 1}, "a text is needed"),
