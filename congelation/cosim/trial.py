@@ -382,6 +382,8 @@ class Trial:
             self.why = (
                 "all FMUs can save their state, take polynomials as inputs and know derivatives "
                 "of their outputs"
+                if self._system.links
+                else "no numbers are exchanged"
             )
             return
         if not self._feeds_back and not self._able:

@@ -21,6 +21,7 @@ import tomllib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ import tomli_w
 from numpy.typing import NDArray
 
 from congelation.design.tuning_candidates import OBJECTIVES, Candidates, Evaluator
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, require, require_count
 from congelation.export.assumptions import spec_assumptions
 from congelation.signals import box_radius
 from congelation.verify.certify import Design, certify_design
@@ -173,6 +174,11 @@ def tune(
     >>> all(proposal.certified for proposal in tuning.front)
     True
     """
+    require_count(evaluations, "evaluations")
+    require_count(workers, "workers")
+    require(stop_time, Real, "stop_time", "a positive number of seconds")
+    if not 0.0 < stop_time < math.inf:
+        raise InvalidInput(f"stop_time = {stop_time} is not valid; give a positive time in seconds")
     spec = Path(spec)
     evaluator = Evaluator(spec, below, stop_time)
     own = evaluator.exact(np.zeros(evaluator.dimension))

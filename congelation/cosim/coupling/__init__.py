@@ -45,6 +45,7 @@ __all__ = [
     "Sampled",
     "Stepper",
     "Trial",
+    "check_options",
     "make_coupling",
     "refuse_tolerance",
 ]
@@ -85,6 +86,20 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
         return kind(**given)
     except InvalidInput as error:
         raise InvalidInput(f"coupling '{name}': {error}") from error
+
+
+def check_options(coupling: Coupling | Auto) -> None:
+    """Refuse a coupling whose options are of other types than theirs.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    types = _types(type(coupling))  # type: ignore[arg-type]  # a union of classes is hashable
+    for field in dataclasses.fields(coupling):  # type: ignore[arg-type]  # all are dataclasses
+        value = getattr(coupling, field.name)
+        what = f"coupling '{coupling.name}': {field.name} = {shown(value)}"
+        _check_type(what, value, types[field.name])
 
 
 @cache

@@ -113,7 +113,6 @@ class Hermite(Coupling):
     needs_derivatives: ClassVar[bool] = True
     lands_on_events: ClassVar[bool] = True
     takes_tolerance: ClassVar[bool] = True
-    latches: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         if self.acceleration not in ACCELERATIONS:
