@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from congelation.errors import InvalidInput, nearest
-from congelation.theory.gains import RULES, SYMMETRY_TOLERANCE
+from congelation.theory.gains import RULES
+from congelation.theory.matrices import SYMMETRY_TOLERANCE
 from congelation.theory.model import Domain, Gain, Model, Parameter
 
 __all__ = ["complete_values"]
