@@ -9,7 +9,7 @@ import numpy.typing as npt
 from scipy.integrate import OdeSolution, solve_ivp
 
 from benchmarks.cases import Figure
-from congelation.theory.closed_loop import Segment
+from congelation.theory.closed_loop import SmoothPiece
 from congelation.verify.reference import reference
 
 __all__ = ["Exact"]
@@ -43,7 +43,7 @@ class Exact:
         self._loop = found.loop
         names = [*found.loop.state_names, *found.loop.output_names]
         self._columns = [names.index(f"{owner}.{name}") for owner, name in figure.loop.record]
-        self._pieces: list[tuple[Segment, OdeSolution]] = []
+        self._pieces: list[tuple[SmoothPiece, OdeSolution]] = []
         X = found.start
         for segment in found.segments:
             if segment.start < stop_time:
@@ -61,7 +61,7 @@ class Exact:
                 X = piece.y[:, -1]
                 self._pieces.append((segment, piece.sol))
 
-    def _rates(self, segment: Segment, t: float, X: Floats) -> Floats:
+    def _rates(self, segment: SmoothPiece, t: float, X: Floats) -> Floats:
         return self._loop.function(X, segment.theta(t))
 
     def values(self, times: Floats) -> Floats:

@@ -3,11 +3,13 @@
 import gc
 import os
 import signal
+import sys
 from types import FrameType
 
 __all__ = ["main"]
 
 _INTERRUPTED = 130
+_ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 def main() -> None:
@@ -18,9 +20,14 @@ def main() -> None:
     if before is signal.default_int_handler:  # and not ignored, as in a shell's background
         signal.signal(signal.SIGINT, _end)
     # Here: a sweep's worker processes import the main module anew, and need nothing of this.
+    from congelation.cli import load
     from congelation.cli import main as command
 
+    load(sys.argv[1:])
     signal.signal(signal.SIGINT, before)
+    for number in _ENDING:  # how schedulers and closed terminals end a job: like Ctrl-C
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
     try:
         command()
     finally:

@@ -12,7 +12,12 @@ result, not exceptions.
 from __future__ import annotations
 
 import difflib
-from collections.abc import Iterable
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from numbers import Integral
+
+import numpy as np
 
 __all__ = [
     "CongelationError",
@@ -20,8 +25,23 @@ __all__ = [
     "InfeasibleDesign",
     "InvalidInput",
     "SlaveError",
+    "amount",
+    "counted",
     "nearest",
+    "require",
+    "require_all",
+    "require_count",
+    "shown",
 ]
+
+LONGEST_VALUE = 60
+"""Characters of a value that a message quotes."""
+
+DEEPEST = 6
+"""Levels of lists and tables of such a value that are spelled out."""
+
+LARGEST_BITS = 10_000
+"""Of a whole number that is spelled out; Python prints up to 4,300 digits."""
 
 
 class CongelationError(Exception):
@@ -86,6 +106,10 @@ class SlaveError(CongelationError):
     True
     """
 
+    def __reduce__(self) -> tuple[type[SlaveError], tuple[str, float, str, str]]:
+        """What makes it anew in another process: what it was made from, not its text."""
+        return type(self), (self.component, self.time, self.message, self.call)
+
     def __init__(self, component: str, time: float, message: str, call: str = "") -> None:
         # An FMU may begin with its own name, for tools that do not say whose message it is.
         own = message.removeprefix(f"{component}: ")
@@ -105,3 +129,92 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     if 0 < len(names) <= 12:
         return "valid: " + ", ".join(names)
     return f"none of the {len(names)} valid names is near"
+
+
+def require(value: object, kind: type | tuple[type, ...], name: str, valid: str) -> None:
+    """Refuse a value of another type; true and false are no numbers.
+
+    Raises
+    ------
+    InvalidInput
+        With the name, the value, and what is valid.
+    """
+    kinds = kind if isinstance(kind, tuple) else (kind,)
+    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
+        raise InvalidInput(f"{name} = {shown(value)} is not valid; give {valid}")
+
+
+def require_all(values: object, kind: type | tuple[type, ...], name: str, valid: str) -> None:
+    """Refuse what is no list or tuple of values of one type, which `valid` names in the singular.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    require(values, (list, tuple), name, f"a tuple, each entry {valid}")
+    assert isinstance(values, list | tuple)
+    for place, value in enumerate(values):
+        require(value, kind, f"{name}[{place}]", valid)
+
+
+def require_count(value: object, name: str) -> None:
+    """Refuse what is no whole number of at least 1.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    require(value, Integral, name, "a whole number of at least 1")
+    assert isinstance(value, Integral)
+    if value < 1:
+        raise InvalidInput(f"{name} = {value} is not valid; give a whole number of at least 1")
+
+
+def counted(count: int, noun: str, plural: str = "") -> str:
+    """A number of things in words: ``1 run``, ``2 runs``."""
+    return f"{count} {noun if count == 1 else plural or f'{noun}s'}"
+
+
+def amount(shape: Sequence[int], noun: str = "number") -> str:
+    """A shape in words: ``1 number``, ``2 numbers``, ``2 rows of 3 numbers``."""
+    if not shape:
+        return f"a single {noun}"
+    if len(shape) == 1:
+        return counted(shape[0], noun)
+    if len(shape) == 2:
+        return f"{counted(shape[0], 'row')} of {counted(shape[1], noun)}"
+    return f"{' x '.join(map(str, shape))} {noun}s"
+
+
+def shown(value: object) -> str:
+    """A value as a scenario or spec spells it, cut where it is long.
+
+    Columns are lists, and arrays of one element are numbers, as they are in files.
+    """
+    text = _spelled(value)
+    return text if len(text) <= LONGEST_VALUE else f"{text[: LONGEST_VALUE - 3]}..."
+
+
+def _spelled(value: object, depth: int = 0) -> str:
+    if isinstance(value, np.ndarray):
+        column = value.ndim == 2 and value.shape[1] == 1
+        value = value.item() if value.size == 1 else (value.ravel() if column else value).tolist()
+    elif isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, str):
+        return f"'{value}'"
+    if isinstance(value, float):
+        return repr(value) if math.isfinite(value) else str(value)
+    if isinstance(value, int) and value.bit_length() > LARGEST_BITS:
+        return f"a number of {value.bit_length()} bits"
+    if not isinstance(value, Mapping | list | tuple):
+        return str(value)
+    # What is deeper, or comes after so many, would be cut anyway.
+    if depth == DEEPEST:
+        return "..."
+    if isinstance(value, Mapping):
+        some = itertools.islice(value.items(), LONGEST_VALUE)
+        return f"{{{', '.join(f'{key} = {_spelled(v, depth + 1)}' for key, v in some)}}}"
+    return f"[{', '.join(_spelled(v, depth + 1) for v in value[:LONGEST_VALUE])}]"

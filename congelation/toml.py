@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeGuard, TypeVar
 
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, nearest, shown
 
 __all__ = ["TIME_UNITS", "Key", "Section", "Table", "parse_document", "read_document"]
 
@@ -175,7 +175,7 @@ class Section:
 
     def wrong(self, key: str, valid: str) -> InvalidInput:
         """The error to raise about a value that is not `valid`."""
-        return self.error(key, f"= {_shown(self.data[key])} is not valid; give {valid}")
+        return self.error(key, f"= {shown(self.data[key])} is not valid; give {valid}")
 
     def only(self, known: Iterable[str]) -> Section:
         """This table, after checking that it has no keys but `known` ones."""
@@ -261,8 +261,10 @@ class Section:
                 raise self.error(key, "is missing; give a string")
             return default
         value = self.data[key]
-        if not isinstance(value, str) or not value.strip():
+        if not isinstance(value, str):
             raise self.wrong(key, "a string")
+        if not value.strip():
+            raise self.wrong(key, "a string that is not empty")
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:
@@ -421,9 +423,3 @@ def _archive_kind(file: Path) -> str:
 def _neighbours(file: Path) -> str:
     names = [p.name for p in sorted(file.parent.glob("*.toml"))] if file.parent.is_dir() else []
     return nearest(file.name, names) if names else "give the path of a scenario (.toml)"
-
-
-def _shown(value: object, limit: int = 60) -> str:
-    text = f"'{value}'" if isinstance(value, str) else repr(value)
-    text = {"True": "true", "False": "false"}.get(text, text)
-    return text if len(text) <= limit else text[: limit - 3] + "..."

@@ -52,7 +52,7 @@ napoleon_use_ivar = True
 
 
 html_math_renderer = "mathml"
-LONG_FORMULA, LONG_CELL, SHORT_CELL = 70, 60, 18  # characters
+LONG_FORMULA, LONG_CELL, SHORT_CELL, SHORT_CODE = 70, 60, 18, 24  # characters
 
 
 def formula(translator, node: nodes.math | nodes.math_block) -> None:  # type: ignore[no-untyped-def]
@@ -69,10 +69,14 @@ def formula(translator, node: nodes.math | nodes.math_block) -> None:  # type: i
 
 
 def widths(app: Sphinx, document: nodes.document, page: str) -> None:
-    """Mark the cells of tables that need room, and those that should not be broken.
+    """Mark the cells of tables that need room, and what should not be broken: short cells and code.
 
-    A browser makes the columns of a table as narrow as it can before it lets the table scroll.
+    A browser makes the columns of a table as narrow as it can before it lets the table scroll, and
+    ends a line after any hyphen, as after the two of an option.
     """
+    for code in document.findall(nodes.literal):
+        if len(code.astext()) <= SHORT_CODE:
+            code["classes"].append("short")
     for entry in document.findall(nodes.entry):
         size = len(entry.astext())
         if size > LONG_CELL:

@@ -4,27 +4,34 @@ from __future__ import annotations
 
 import io
 import os
+import pickle
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from unittest import mock
 
 from congelation.cli import main
 from congelation.cosim.pool import SlavePool
+from congelation.cosim.session import NOTICE
+from congelation.fmi.library import KEPT
 from congelation.results.record import Outcome, Trajectory
 from congelation.results.results import Results
 from congelation.scenario.scenario import Scenario
-from congelation.sweep.execute import execute
+from congelation.sweep.execute import Job, Task, execute
+from congelation.sweep.local import Local
 from congelation.sweep.plan import plan_study
+from congelation.sweep.workers import Event, Finished, Progress, Remark, Workers
 from tests.scenarios import ROOT
 
 __all__ = [
     "COMMAND",
+    "Here",
     "children",
     "command",
     "done",
@@ -36,6 +43,7 @@ __all__ = [
     "rows",
     "start",
     "until",
+    "workers",
 ]
 
 COMMAND = [sys.executable, "-W", "error", "-m", "congelation"]
@@ -113,6 +121,45 @@ def done(
     with SlavePool() as pool:
         outcome, _ = execute(job, chosen, pool, lambda fraction: None)
     return outcome, plan.store.trajectory(task.run_id)
+
+
+@dataclass
+class Here(Workers):
+    """In place of a worker process: does the runs in this one, and starts in no time.
+
+    What is sent between processes is pickled here, too. A run cannot be ended from outside.
+    """
+
+    size: int = 1
+    most: int = 50
+
+    def start(self, job: Job) -> None:
+        self._tasks, self._pool = deque[Task](), SlavePool()
+        assert job.timeout is None, "a test of a time limit is to be marked `workers`"
+        self._job: Job = pickle.loads(pickle.dumps(job))
+
+    def submit(self, tasks: Sequence[Task]) -> None:
+        self._tasks += pickle.loads(pickle.dumps(tasks))
+
+    def events(self) -> list[Event]:
+        task, found = self._tasks.popleft(), list[Event]()
+
+        def progress(fraction: float) -> None:
+            if notice := NOTICE.taken():
+                found.append(Progress(task.run_id, fraction, notice))
+
+        outcome, trajectory = execute(self._job, task, self._pool, progress)
+        ended = Finished(*pickle.loads(pickle.dumps((task.run_id, outcome, trajectory))))
+        return [*found, ended, *map(Remark, self._pool.terminate())]
+
+    def stop(self) -> None:
+        self._pool.close()
+        KEPT.file = None
+
+
+def workers(in_processes: bool, size: int = 1) -> Workers:
+    """Where a test's studies run: in processes if it asks for that, or for several."""
+    return Local(size) if in_processes or size > 1 else Here()
 
 
 def until(condition: Callable[[], bool], limit: float = 60.0) -> None:

@@ -19,7 +19,7 @@ from congelation.cli.shared import (
     print_table,
 )
 from congelation.cosim.result import Status
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, counted
 from congelation.places import check_file, check_folder
 from congelation.report.comparison import (
     BY_VARIANT,
@@ -159,7 +159,7 @@ def _compare(folders: Sequence[Path], html: Path | None) -> None:
         for label, name in found.alone[:FEW]:
             complain(f"{label}: only in {name}, or there more than once")
         if len(found.alone) > FEW:
-            complain(f"and {len(found.alone) - FEW} more runs, which the page lists")
+            complain(f"and {counted(len(found.alone) - FEW, 'more run')}, which the page lists")
     print(page)
 
 
@@ -237,7 +237,7 @@ def export(
         check_file("--mat", mat)
     if csv is not None:
         files = write_csv(results, csv)
-        print(f"{len(files)} files in {csv}")
+        print(f"{counted(len(files), 'file')} in {csv}")
     if mat is not None:
         write_mat(results, mat)
         print(mat)

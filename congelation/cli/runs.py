@@ -23,7 +23,7 @@ from congelation.cli.shared import (
     print_summary,
 )
 from congelation.cosim.compiled import available
-from congelation.errors import CongelationError, InvalidInput
+from congelation.errors import CongelationError, InvalidInput, counted
 from congelation.places import check_file
 from congelation.results.identity import code_version
 from congelation.results.record import RunRecord
@@ -252,9 +252,17 @@ def export_ssp(
             help="Communication step for other tools, in s.", show_default="the experiment's"
         ),
     ] = None,
+    native: Annotated[
+        bool,
+        typer.Option(
+            "--native", help="Take the native FMUs, native/NAME.fmu beside those of the scenario."
+        ),
+    ] = False,
 ) -> None:
     """Write a scenario as a system that other tools can open: SSP 1.0 with the FMUs inside."""
-    write_ssp(load_scenario(scenario), file, variant, derivatives=derivatives, step=step)
+    write_ssp(
+        load_scenario(scenario), file, variant, derivatives=derivatives, step=step, native=native
+    )
     print(file)
 
 
@@ -306,7 +314,7 @@ def _carried_out(plan: Plan, workers: Workers, form: Form) -> Results:
     except KeyboardInterrupt as error:
         done = plan.store.count(plan.job.study)
         remedy = "; go on with --resume" if plan.job.swept else ""
-        complain(f"interrupted after {done} of {plan.total} runs{remedy}")
+        complain(f"interrupted after {done} of {counted(plan.total, 'run')}{remedy}")
         raise typer.Exit(INTERRUPTED) from error
     except InvalidInput:
         _complain_of_failures(Results(plan.store.root, plan.job.study).runs)
@@ -315,9 +323,10 @@ def _carried_out(plan: Plan, workers: Workers, form: Form) -> Results:
 
 def _announce(plan: Plan, workers: Workers, *, measured: bool) -> None:
     """Say how many runs there are, and what those missing will take."""
-    print(f"{plan.total} runs, {len(plan.missing)} of them to do in {plan.store.root}")
+    print(f"{counted(plan.total, 'run')}, {len(plan.missing)} of them to do in {plan.store.root}")
     if plan.others:
-        print(f"{plan.others} other runs are of another study or an earlier state of the scenario")
+        others = counted(plan.others, "other run")
+        print(f"another study or an earlier state of the scenario has {others}")
     for version in plan.versions:
         if version != code_version():
             complain(
@@ -342,7 +351,7 @@ def _complain_of_failures(records: Iterable[RunRecord]) -> int:
     failed = kinds.total()
     if failed:
         counts = ", ".join(f"{count} {status}" for status, count in kinds.most_common())
-        complain(f"{failed} of {total} runs failed ({counts})")
+        complain(f"{failed} of {counted(total, 'run')} failed ({counts})")
         # Messages differ in their numbers: those that agree up to them have one cause.
         causes: dict[str, list[RunRecord]] = {}
         for record in kept:

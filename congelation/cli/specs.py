@@ -10,11 +10,12 @@ import typer
 
 from congelation.cli.shared import FAILED, VIOLATED, complain, print_json, print_table
 from congelation.cosim.pair_info import info as look_at
-from congelation.errors import DesignWarning
+from congelation.errors import DesignWarning, counted
 from congelation.export.build import build as build_fmus
 from congelation.export.examples import copy_examples, write_starter
 from congelation.places import check_file
 from congelation.report.certificates import SHORT, write_certificates
+from congelation.theory.certificate import Finding
 from congelation.verify.certify import Certification, Verdict
 from congelation.verify.certify import certify as search
 
@@ -63,7 +64,7 @@ def examples(
 ) -> None:
     """Copy the example specs and scenarios into the folders specs and scenarios of DIR."""
     files = copy_examples(folder)
-    print(f"{len(files)} files in {folder / 'specs'} and {folder / 'scenarios'}")
+    print(f"{counted(len(files), 'file')} in {folder / 'specs'} and {folder / 'scenarios'}")
 
 
 def build(
@@ -158,11 +159,17 @@ def certify(
     if json:
         print_json([_record(certification) for certification in found])
     else:
-        print_table(
-            f"{file}",
-            ["worst margin", "relative", "delta", "radius of theta", ""],
-            [_line(certification) for certification in found],
-        )
+        # Of a design that nothing was searched of, the verdict and its reason say all.
+        lines = [_line(one, one.finding) for one in found if one.finding is not None]
+        if lines:
+            columns = [
+                "worst margin",
+                "relative margin",
+                "delta",
+                "radius of theta",
+                "result",
+            ]
+            print_table(f"{file}", columns, lines)
     for certification in found:
         name = certification.design.name
         for warning in certification.warnings:
@@ -212,11 +219,10 @@ def _record(found: Certification) -> dict[str, object]:
     }
 
 
-def _line(found: Certification) -> tuple[str, list[str]]:
-    margin = None if found.finding is None else found.finding.margin
+def _line(found: Certification, finding: Finding) -> tuple[str, list[str]]:
     return found.design.name, [
-        "" if margin is None else f"{margin.value:.3g}",
-        "" if margin is None else f"{margin.relative:.1e}",
+        f"{finding.margin.value:.3g}",
+        f"{finding.margin.relative:.1e}",
         "any" if found.delta is None else f"{found.delta:.4g}",
         f"{found.design.radius:.4g}",
         SHORT[found.verdict],

@@ -81,6 +81,7 @@ class Checker:
             self._unzip()
 
     def __enter__(self) -> Checker:
+        self._children.open()
         return self
 
     def __exit__(
@@ -89,6 +90,7 @@ class Checker:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._children.close()
         self._temporary.cleanup()
 
     def stop(self) -> None:
@@ -125,7 +127,7 @@ class Checker:
         elif not self._has_binary():
             why = f"no binary for this platform ({platform_folder()})"
         elif static:
-            why = "the others were not asked for"
+            why = "dynamic rules were not asked for"
         if why:
             return f"{what}, {only}: {why}", True, why
         return f"{what}, static rules and dynamic rules on {platform_folder()}", True, ""

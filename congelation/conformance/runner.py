@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import threading
@@ -18,7 +19,7 @@ from congelation.conformance.finding import FmuReport, Report, Verdict, merged
 from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Outcome, Rule
 from congelation.conformance.rules import RULES
 from congelation.conformance.subject import DESCRIPTION
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, nearest, require_all, require_count
 from congelation.fmi.unpack import require_no_other_kind
 
 __all__ = ["check", "select"]
@@ -92,7 +93,7 @@ def check(
     static : bool
         Only the rules that look at the archive and its XML.
     known : Path or str, optional
-        A TOML file of accepted findings (`congelation.conformance.accepted.read_known`).
+        A TOML file of accepted findings, ``[[known]]`` (docs/conformance.md).
     jobs : int, optional
         How many rules to run at the same time; as many as there are processors unless given.
     time_limit : float
@@ -120,6 +121,13 @@ def check(
     >>> cg.check(["fmus/ScalarPlant.fmu"], static=True).failures()
     ()
     """
+    require_all(paths, (str, os.PathLike), "paths", "the path of an FMU")
+    if not paths:
+        raise InvalidInput("paths is empty; give the FMUs to check")
+    if jobs is not None:
+        require_count(jobs, "jobs")
+    if not 0.0 < time_limit < math.inf:
+        raise InvalidInput(f"time_limit = {time_limit} is not valid; give a positive number of s")
     chosen = select(rules) or RULES
     files = [Path(path) for path in paths]
     for path in files:

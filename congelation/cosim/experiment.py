@@ -14,12 +14,13 @@ from congelation.cosim.coupling import (
     Derivative,
     Hermite,
     ModelExchange,
+    check_options,
     make_coupling,
     refuse_tolerance,
 )
 from congelation.cosim.recording import Output
 from congelation.cosim.system import ResolvedSystem
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, require, require_all, require_count, shown
 
 __all__ = [
     "Experiment",
@@ -116,8 +117,20 @@ class Experiment:
     def __post_init__(self) -> None:
         for name in _NUMBERS:
             value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
-                raise InvalidInput(f"{name} = {value!r} is not valid; give a number")
+            if value is not None or name in ("start_time", "stop_time"):
+                require(value, Real, name, "a number")
+                if not _is_float(value):
+                    raise InvalidInput(
+                        f"{name} = {shown(value)} is not valid; give a finite number"
+                    )
+        for name in ("output_every", "max_steps"):
+            if getattr(self, name) is not None:
+                require_count(getattr(self, name), name)
+        if self.record is not None:
+            require_all(self.record, str, "record", "a string, component.variable")
+        require(self.options, Mapping, "options", "values by name")
+        coupling = "the name of a coupling, or one such as Hermite()"
+        require(self.coupling, (str, Coupling, Auto), "coupling", coupling)
         start, stop = self.start_time, self.stop_time
         if not (math.isfinite(stop - start) and stop > start):
             raise InvalidInput(f"stop_time {stop:g} must be finite and after start_time {start:g}")
@@ -125,13 +138,13 @@ class Experiment:
             raise InvalidInput("give a communication step or a tolerance")
         if self.tolerance is not None and not 0.0 < self.tolerance < 1.0:
             raise InvalidInput(f"tolerance {self.tolerance:g} must lie between 0 and 1")
-        if self.max_steps is not None and self.max_steps < 1:
-            raise InvalidInput(f"max_steps {self.max_steps}: at least 1 is needed")
         if self.options and not isinstance(self.coupling, str):
             raise InvalidInput(
                 "options go with the name of a coupling; this one has its own already"
             )
-        self.given_coupling  # noqa: B018  # refuses what is unknown
+        if self.slave_tolerance is not None and self.slave_tolerance <= 0.0:
+            raise InvalidInput(f"slave_tolerance {self.slave_tolerance:g} must be positive")
+        check_options(self.given_coupling)
 
     @cached_property
     def given_coupling(self) -> Coupling | Auto:
@@ -175,6 +188,14 @@ class Experiment:
         if self.output_interval is not None:
             return Output(interval=self.output_interval)
         return None if self.output_every is None else Output(every=self.output_every)
+
+
+def _is_float(number: Real) -> bool:
+    """Whether a number is finite, and none that only a whole number can be."""
+    try:
+        return math.isfinite(number)
+    except OverflowError:
+        return False
 
 
 def slave_tolerance(experiment: Experiment) -> float | None:

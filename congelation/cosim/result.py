@@ -8,7 +8,7 @@ from enum import Enum
 import numpy as np
 import numpy.typing as npt
 
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, counted, nearest
 
 __all__ = ["Result", "RunEnded", "Statistics", "Status", "Trust"]
 
@@ -204,12 +204,13 @@ class Result:
         """The end of the run and its size, not its rows."""
         span = f"{self.time[0]:g} .. {self.time[-1]:g} s" if len(self.time) else "no rows"
         names = ", ".join(self.names[:SHOWN]) + (", .." if len(self.names) > SHOWN else "")
+        rows, steps = len(self.time), self.statistics.macro_steps
         return "\n".join(
             [
-                f"Result: {self.status.name}, {len(self.time)} rows of {len(self.names)}, {span}",
+                f"Result: {self.status.name}, {counted(rows, 'row')} of {len(self.names)}, {span}",
                 f"  {self.message}",
                 f"  {names}",
-                f"  {self.statistics.macro_steps} steps, {self.statistics.rejected} rejected",
+                f"  {counted(steps, 'step')}, {self.statistics.rejected} rejected",
             ]
         )
 

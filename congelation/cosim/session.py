@@ -21,6 +21,7 @@ from congelation.cosim.exchange import Exchange
 from congelation.cosim.recording import Columns, Rows
 from congelation.cosim.result import RunEnded, Statistics, Status
 from congelation.cosim.system import ResolvedSystem
+from congelation.errors import counted
 
 __all__ = ["NOTICE", "Notice", "Progress", "Session", "just_before"]
 
@@ -34,6 +35,9 @@ LOOK_PERIOD = 2.0
 
 FIRST_CHUNK = 16
 """Steps that the compiled loop makes before progress is looked at for the first time."""
+
+LARGER = 8
+"""Times as many steps as so far, which it makes before progress is looked at again."""
 
 COLLAPSED = 1e5
 """Remaining steps above which the steps of a run count as collapsed."""
@@ -171,7 +175,7 @@ class Session:
         ensemble = self.ensemble
         for member, slave in zip(ensemble.system.members, ensemble.slaves, strict=True):
             slave.setup(self.start, self.stop, slave_tolerance)
-            slave.set_values(member.start)
+            slave.set_start(member.start)
             slave.require_no_error()
         for slave in ensemble.slaves:
             slave.enter_initialization()
@@ -263,8 +267,8 @@ class Session:
         if self.steps + self.rejected >= self._max_steps and time < self.stop:
             raise RunEnded(
                 Status.TOO_MANY_STEPS,
-                f"{self.steps} steps (and {self.rejected} taken back) reached t = {time:.9g} of "
-                f"{self.stop:.9g}; the last one was {length:.3g} s long",
+                f"{counted(self.steps, 'step')} (and {self.rejected} taken back) reached "
+                f"t = {time:.9g} of {self.stop:.9g}; the last one was {length:.3g} s long",
             )
         if self._progress is not None and (now := clock.monotonic()) >= self._next_report:
             if now >= self._next_look:
@@ -313,7 +317,7 @@ class Session:
         """Steps that the compiled loop may make at once, those taken back included."""
         left = self._max_steps - self.steps - self.rejected
         # Few at first: where each step takes long, progress is to be known soon.
-        return int(max(1, min(CHUNK, left, max(FIRST_CHUNK, self.steps))))
+        return int(max(1, min(CHUNK, left, max(FIRST_CHUNK, LARGER * self.steps))))
 
     def report(self, fraction: float) -> None:
         """Report progress, if anyone listens."""

@@ -15,6 +15,7 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
+from numbers import Real
 
 from congelation.design.attack_problem import Problem, problem_of
 from congelation.design.derivative_free import maximise
@@ -30,7 +31,7 @@ from congelation.design.finds import (
 from congelation.design.late_strike import SETTLED, strikes
 from congelation.design.search import Search
 from congelation.design.shooting import Cells, Path, Shooting
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, nearest, require, require_all, require_count
 from congelation.scenario.load import load_scenario
 from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import MetricSpec, Scenario
@@ -67,7 +68,8 @@ def attack(
         A loop of a plant and its controller. Admissible is the box that the profile of theta fills;
         where it is constant, the ball of radius delta about it.
     objectives : sequence of str
-        Of `OBJECTIVES`, or names of the scenario's metrics.
+        ``peak``, the largest ``|x|``; ``ise``, the integral of its square; ``late``, the largest
+        after it had settled; or names of the scenario's metrics.
     variants : sequence of str, optional
         Names; all where left out.
     effort : float
@@ -94,6 +96,8 @@ def attack(
     """
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(pathlib.Path(scenario))
+    require_count(workers, "workers")
+    _check_search(objectives, variants, effort)
     names = [v.name for v in scenario.variants]
     for name in variants or ():
         if name not in names:
@@ -121,6 +125,20 @@ def attack(
         tuple(one for one in ordered if isinstance(one, Find)),
         tuple(one for one in ordered if isinstance(one, str)),
     )
+
+
+def _check_search(objectives: Sequence[str], variants: Sequence[str] | None, effort: float) -> None:
+    """Refuse a search of nothing, or without end."""
+    require_all(objectives, str, "objectives", "a string")
+    if not objectives:
+        raise InvalidInput("objectives is empty; name what is to be maximised")
+    if variants is not None:
+        require_all(variants, str, "variants", "a string")
+        if not variants:
+            raise InvalidInput("variants is empty; leave it out for all")
+    require(effort, Real, "effort", "a positive number")
+    if not 0.0 < effort < math.inf:
+        raise InvalidInput(f"effort = {effort} is not valid; give a positive number")
 
 
 def _silent(variant: str, objective: str, done: float, best: float) -> None:

@@ -21,7 +21,7 @@ from congelation.errors import InvalidInput
 from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import MetricSpec, Scenario
 from congelation.theory.certificate import ROUNDING
-from congelation.theory.closed_loop import Segment, Solution
+from congelation.theory.closed_loop import SmoothPiece, Solution
 from congelation.verify.assumptions import case_assumptions
 from congelation.verify.certify import Design, certify_design
 
@@ -115,6 +115,8 @@ class Attack:
         One line for each variant and objective without a find, and why.
     varied : tuple of Varied
         What was varied in place of theta(t).
+    notes : tuple of str
+        A line for each search in which runs failed, and so were passed over.
     source : Path or None
         The FMU that drove inputs; None where theta(t) was attacked.
     """
@@ -124,6 +126,7 @@ class Attack:
     missed: tuple[str, ...]
     varied: tuple[Varied, ...] = ()
     source: pathlib.Path | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def violated(self) -> tuple[Find, ...]:
@@ -163,7 +166,7 @@ def solved_again(
     cells, end = trial.cells, float(trial.time[-1])
     times = np.union1d(trial.time, np.linspace(float(cells.edges[0]), end, GRID))
     segments = [
-        Segment(float(a), float(b), partial(_constant, theta))
+        SmoothPiece(float(a), float(b), partial(_constant, theta))
         for a, b, theta in zip(cells.edges[:-1], cells.edges[1:], cells.theta, strict=True)
     ]
     solution = problem.loop.solve(segments, problem.start, times, rtol=1e-11, atol=1e-14)

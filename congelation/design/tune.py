@@ -21,6 +21,7 @@ import tomllib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ import tomli_w
 from numpy.typing import NDArray
 
 from congelation.design.tuning_candidates import OBJECTIVES, Candidates, Evaluator
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, require, require_count
 from congelation.export.assumptions import spec_assumptions
 from congelation.signals import box_radius
 from congelation.verify.certify import Design, certify_design
@@ -132,7 +133,7 @@ def tune(
     workers: int = 1,
     out: Path | None = None,
     resume: bool = False,
-    progress: Callable[[int, int], None] = lambda done, total: None,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Tuning:
     """Search for gains that meet a wish.
 
@@ -141,7 +142,8 @@ def tune(
     spec : path
         A spec; its x0, theta(t) and delta stay as they are.
     wishes : mapping, optional
-        Upper bounds by `OBJECTIVES`; the spec's own settling and effort where left out.
+        Upper bounds of ``settling`` (seconds), ``effort`` (the integral of u^2) and ``peak_input``
+        (the largest ``|u|``); the spec's own settling and effort where left out.
     below : float
         What ``|x|`` has to stay below to count as settled, in the units of x.
     stop_time : float
@@ -158,7 +160,7 @@ def tune(
         A result directory (`cg.open_results`), which gets each candidate as a run at once.
     resume : bool
         Take the candidates that the directory has from there.
-    progress : callable
+    progress : callable, optional
         Called with the number of candidates solved, and of all.
 
     Raises
@@ -172,6 +174,11 @@ def tune(
     >>> all(proposal.certified for proposal in tuning.front)
     True
     """
+    require_count(evaluations, "evaluations")
+    require_count(workers, "workers")
+    require(stop_time, Real, "stop_time", "a positive number of seconds")
+    if not 0.0 < stop_time < math.inf:
+        raise InvalidInput(f"stop_time = {stop_time} is not valid; give a positive time in seconds")
     spec = Path(spec)
     evaluator = Evaluator(spec, below, stop_time)
     own = evaluator.exact(np.zeros(evaluator.dimension))
@@ -181,7 +188,8 @@ def tune(
     with Candidates(evaluator, workers, out, resume) as candidates:
 
         def count() -> None:
-            progress(min(len(candidates.solved), evaluations), evaluations)
+            if progress is not None:
+                progress(min(len(candidates.solved), evaluations), evaluations)
 
         for share, goal in zip(SHARES, _goals(wanted, asked), strict=True):
             _descend(candidates, goal, int(share * evaluations), seed, count)

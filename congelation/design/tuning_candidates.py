@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from congelation.cosim.result import Status
 from congelation.design.attack_problem import held
 from congelation.design.shooting import Cells, Shooting
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, counted
 from congelation.export.spec import Spec, read_spec
 from congelation.results.identity import (
     NUMERICS_VERSION,
@@ -31,7 +31,7 @@ from congelation.results.record import RunRecord
 from congelation.results.store import Store
 from congelation.scenario.metrics import METRICS
 from congelation.signals import Profile
-from congelation.theory.closed_loop import ClosedLoop, Segment, close
+from congelation.theory.closed_loop import ClosedLoop, SmoothPiece, close
 
 __all__ = ["OBJECTIVES", "Candidates", "Evaluator"]
 
@@ -145,7 +145,7 @@ class Evaluator:
         while start < self.stop:
             pieces = [profile.segment(start) for profile in self.profiles]
             end = min(self.stop, *(piece.end for piece in pieces))
-            segments.append(Segment(start, end, partial(_theta, pieces)))
+            segments.append(SmoothPiece(start, end, partial(_theta, pieces)))
             start = end
         # More rows where the transient is.
         times = np.union1d(times, np.geomspace(1e-6, self.stop, 2000))
@@ -283,7 +283,8 @@ class Candidates:
         count = store.count()
         if count and not resume:
             raise InvalidInput(
-                f"{store.root} holds {count} designs; give --resume to go on, or another --out"
+                f"{store.root} holds {counted(count, 'design')}; give --resume to go on, or "
+                "another --out"
             )
         if count and store.newest() != self._study:
             raise InvalidInput(f"{store.root} is of another spec or horizon; give another --out")

@@ -61,7 +61,7 @@ def build(
     Parameters
     ----------
     *specs : Spec, BlockSpec, Path or str
-        What to build: a TOML file, or what `read_spec` or `read_buildable` made of one.
+        What to build: a TOML file, or what `Spec.read` made of one.
     out : Path or str
         Folder for the FMUs, which replace others of the same names.
     native : bool

@@ -15,7 +15,7 @@ __all__ = ["copy_examples", "write_starter"]
 
 
 def copy_examples(folder: Path | str) -> list[Path]:
-    """Copy the shipped specs and scenarios into `folder`/specs and `folder`/scenarios.
+    """Copy the shipped specs and scenarios, with their tables, into folders of `folder`.
 
     Returns
     -------
@@ -36,7 +36,8 @@ def copy_examples(folder: Path | str) -> list[Path]:
     texts = {
         Path(folder) / kind / file.name: file.read_bytes()
         for kind in ("specs", "scenarios")
-        for file in sorted(shipped(kind).glob("*.toml"))
+        for file in sorted(shipped(kind).iterdir())
+        if file.suffix in (".toml", ".csv")  # scenarios name tables beside them
     }
     # Nobody's work is overwritten, and nothing is copied before that is sure.
     for target, text in texts.items():
@@ -63,8 +64,9 @@ def write_starter(
     folder : Path or str
         Where to make it.
     source : Path, str, mapping or python-control system, optional
-        The transfer function of the plant, see `congelation.export.transfer`; without one the
-        spec is of an example in state feedback.
+        The transfer function of the plant: a TOML file or a mapping with ``numerator`` and
+        ``denominator``, whose coefficients may be intervals; without one the spec is of an example
+        in state feedback.
     spread : float
         Half the width of the intervals of the coefficients of its denominator that are given as
         numbers, relative to them.

@@ -63,7 +63,6 @@ The forms of blocks, and the keys of their structure:
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -72,7 +71,7 @@ from typing import Literal
 import numpy as np
 
 from congelation import keys
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, amount, shown
 from congelation.export.equations import Special
 from congelation.export.forms import BLOCKS, FORMS, BlockForm, Form, Structure
 from congelation.export.interface import ProfileSlots, profiled_names
@@ -119,7 +118,7 @@ class FmuSpec:
 
 @dataclass(frozen=True)
 class Spec:
-    """What to build FMUs of, as `read_spec` read it.
+    """What to build FMUs of: a spec that was read and checked.
 
     Attributes
     ----------
@@ -271,11 +270,11 @@ def _phibar(section: Section, key: str) -> list[list[list[float]]]:
     for place, value in table.only(valid).data.items():
         i, j = (int(part) - 1 for part in place.split(","))
         if not isinstance(value, list) or len(value) != p:
-            raise table.wrong(place, f"{p} numbers")
+            raise table.wrong(place, amount((p,)))
         try:
             phibar[i, j] = value
         except (OverflowError, TypeError, ValueError):
-            raise table.wrong(place, f"{p} numbers") from None
+            raise table.wrong(place, amount((p,))) from None
     rows: list[list[list[float]]] = phibar.tolist()
     return rows
 
@@ -374,7 +373,7 @@ def _check_defaults(
     if not lost:
         return
     culprits = [name for name in given if _mends(model, given, name, special)] or list(given)
-    named = ", ".join(f"{name} = {reprlib.repr(given[name])}" for name in culprits)
+    named = ", ".join(f"{name} = {shown(given[name])}" for name in culprits)
     raise InvalidInput(
         f"{named} cannot be used: {', '.join(lost)} would not be finite at the start; "
         "give values that are neither as large nor as small"

@@ -11,7 +11,6 @@ a constant that is not known. The radii and the centre follow from the intervals
 from __future__ import annotations
 
 import math
-import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from congelation import keys
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, shown
 from congelation.theory.iss_riccati import iss_weight, smallest_feasible_r
 from congelation.toml import read_document
 
@@ -82,7 +81,7 @@ def transfer_function(source: Any, spread: float = 0.0) -> TransferFunction:
         Naming the coefficient, and what an assumption of the theorem asks of it.
     """
     if not 0.0 <= spread < math.inf:
-        raise InvalidInput(f"spread = {spread!r} is not valid; give a number from 0 on")
+        raise InvalidInput(f"spread = {shown(spread)} is not valid; give a number from 0 on")
     if isinstance(source, str | Path):
         _, top = read_document(Path(source))
         read = top.read(keys.TRANSFER)
@@ -127,13 +126,11 @@ def _of_control(system: Any) -> tuple[Sequence[float], Sequence[float]]:
         import control
     except ModuleNotFoundError:
         raise InvalidInput(
-            f"{reprlib.repr(system)} is no file and no mapping; give one, or, for a system of "
+            f"{shown(system)} is no file and no mapping; give one, or, for a system of "
             "python-control, install that: pip install congelation[control]"
         ) from None
     if not isinstance(system, control.StateSpace | control.TransferFunction):
-        raise InvalidInput(
-            f"{reprlib.repr(system)} is no system; give a TransferFunction or StateSpace"
-        )
+        raise InvalidInput(f"{shown(system)} is no system; give a TransferFunction or StateSpace")
     if system.ninputs != 1 or system.noutputs != 1:
         raise InvalidInput(
             f"the system has {system.ninputs} inputs and {system.noutputs} outputs; "
@@ -160,7 +157,7 @@ def _intervals(values: Any, place: str) -> list[Interval]:
             low, high = math.nan, math.nan
         if isinstance(value, bool) or not -math.inf < low <= high < math.inf:
             raise InvalidInput(
-                f"{place}[{k}] = {reprlib.repr(value)} is not valid; give a number, or [low, high]"
+                f"{place}[{k}] = {shown(value)} is not valid; give a number, or [low, high]"
             )
         found.append((low, high))
     return found

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import fmpy
 
+from congelation.errors import counted
 from congelation.fmi.description import describe
 
 __all__ = ["FmuInfo", "VariableInfo", "fmu_info"]
@@ -129,7 +130,11 @@ def _is_optional(name: str, inputs: set[str]) -> bool:
 
 
 def _number(text: str | float | None) -> float | None:
-    return None if text is None else float(text)
+    """What the model description states, where it is a number."""
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return None
 
 
 def _table(group: tuple[VariableInfo, ...]) -> list[str]:
@@ -143,7 +148,7 @@ def _table(group: tuple[VariableInfo, ...]) -> list[str]:
     rows = []
     for key, members in merged.items():
         if key.endswith(".*"):
-            rows.append((key, "", "", f"{len(members)} parameters"))
+            rows.append((key, "", "", counted(len(members), "parameter")))
             continue
         first, last = members[0], members[-1]
         name = first.name if first is last else f"{first.name} .. {last.name.removeprefix(key)}"

@@ -8,13 +8,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, amount, nearest, shown
 from congelation.fmi.description import Description, Variable
 
 __all__ = ["StartValue", "resolve_start"]
 
 LARGEST_INTEGER = 2**31 - 1
 """An fmi2Integer has 32 bits."""
+
+
+KEPT_STARTS = 64
+"""Components whose start values are kept."""
 
 
 class StartValue(NamedTuple):
@@ -44,26 +48,38 @@ def resolve_start(
     InvalidInput
         An unknown name, a value of the wrong type or shape, a variable that cannot be set.
     """
+    # A study resolves the same names run after run, and nearly all values are those of the run
+    # before. What variable the name of a scalar stands for does not depend on its value.
+    key = description.sha256, tuple(start)
+    kept = _KEPT.get(key)
+    if kept is not None and _SCALARS.issuperset(map(type, start.values())):
+        return tuple(
+            known
+            if value is given
+            else StartValue(
+                known.variable,
+                _typed(known.variable, value, f"{place}, start value '{name}'"),
+            )
+            for (name, value), (given, known) in zip(start.items(), kept, strict=True)
+        )
     found: dict[str, StartValue] = {}
     for name, value in start.items():
-        # A study resolves the same parameters run after run, nearly all of them plain numbers.
-        known = description.variables.get(name)
-        if (
-            isinstance(value, float)
-            and known is not None
-            and known.type == "Real"
-            and known.settable
-            and math.isfinite(value)
-            and name not in found
-        ):
-            found[name] = StartValue(known, float(value))
-            continue
         here = f"{place}, start value '{name}'"
         for variable, scalar in _scalars(description, name, value, here):
             if variable.name in found:
                 raise InvalidInput(f"{here}: '{variable.name}' is given twice")
             found[variable.name] = StartValue(variable, _typed(variable, scalar, here))
+    if _SCALARS.issuperset(map(type, start.values())):
+        while len(_KEPT) >= KEPT_STARTS:
+            _KEPT.pop(next(iter(_KEPT)))
+        _KEPT[key] = tuple(zip(start.values(), found.values(), strict=True))
     return tuple(found.values())
+
+
+_SCALARS = {float, int, bool, str}
+
+_KEPT: dict[tuple[str, tuple[str, ...]], tuple[tuple[object, StartValue], ...]] = {}
+"""Scalar start values as they were given last, by FMU and names, and what became of them."""
 
 
 def _scalars(
@@ -71,7 +87,7 @@ def _scalars(
 ) -> Iterator[tuple[Variable, object]]:
     """Pairs of a scalar variable and its value."""
     if not isinstance(value, list | tuple | np.ndarray):
-        yield _scalar_variable(description, name, place), value
+        yield _scalar_variable(description, name, value, place), value
         return
     array = _array(value, place)
     shape = _shape(description, name)
@@ -81,20 +97,26 @@ def _scalars(
             return
         raise InvalidInput(f"{place}: no vector '{name}'; {nearest(name, _groups(description))}")
     if array.shape != shape:
-        raise InvalidInput(f"{place}: shape {_text(array.shape)} given, {_text(shape)} needed")
+        raise InvalidInput(
+            f"{place}: {amount(array.shape, 'value')} given, {amount(shape, 'value')} needed"
+        )
+    first = _first_index(description, name)
     for index in np.ndindex(shape):
-        element = f"{name}[{','.join(str(i + 1) for i in index)}]"
+        element = f"{name}[{','.join(str(i + first) for i in index)}]"
         yield description.variable(element, place), array[index]
 
 
-def _scalar_variable(description: Description, name: str, place: str) -> Variable:
+def _scalar_variable(description: Description, name: str, value: object, place: str) -> Variable:
     if name in description.variables:
         return description.variables[name]
     shape = _shape(description, name)
     if shape and math.prod(shape) == 1:
-        return description.variables[f"{name}[{','.join('1' for _ in shape)}]"]
+        first = _first_index(description, name)
+        return description.variables[f"{name}[{','.join(str(first) for _ in shape)}]"]
     if shape:
-        raise InvalidInput(f"{place}: a list of shape {_text(shape)} is needed")
+        raise InvalidInput(
+            f"{place}: {shown(value)} given, a list of {amount(shape, 'value')} needed"
+        )
     return description.variable(name, place)
 
 
@@ -125,12 +147,16 @@ def _groups(description: Description) -> dict[str, tuple[int, ...]]:
     return groups
 
 
+def _first_index(description: Description, name: str) -> int:
+    """From which number the elements of a vector count: 0 as in C where there is such an element,
+    else 1."""
+    found = (_indices(other) for other in description.variables)
+    return 0 if any(stem == name and 0 in index for stem, index in found) else 1
+
+
 def _shape(description: Description, name: str) -> tuple[int, ...]:
-    return _groups(description).get(name, ())
-
-
-def _text(shape: tuple[int, ...]) -> str:
-    return " x ".join(str(size) for size in shape) or "of a scalar"
+    largest = _groups(description).get(name, ())
+    return tuple(size + 1 - _first_index(description, name) for size in largest)
 
 
 def _typed(variable: Variable, value: object, place: str) -> float | int | bool | str:
@@ -147,13 +173,15 @@ def _typed(variable: Variable, value: object, place: str) -> float | int | bool 
             if value in (name, item) and not isinstance(value, float):
                 return item
         known = ", ".join(f"'{name}' ({item})" for name, item in variable.items)
-        raise InvalidInput(f"{place}: {value!r} is no item of the enumeration; valid: {known}")
+        raise InvalidInput(f"{place}: {shown(value)} is no item of the enumeration; valid: {known}")
     if variable.type == "String" and isinstance(value, str):
+        if "\0" in value:
+            raise InvalidInput(f"{place}: {value!a} has a zero, at which a text ends in C")
         return value
     if variable.type == "Boolean" and (isinstance(value, bool) or value in (0, 1)):
         return bool(value)
     if variable.type == "Integer" and isinstance(value, int) and not isinstance(value, bool):
-        if abs(value) > LARGEST_INTEGER:
+        if not -LARGEST_INTEGER - 1 <= value <= LARGEST_INTEGER:
             raise InvalidInput(f"{place}: {value} does not fit in 32 bits")
         return value
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -165,7 +193,7 @@ def _typed(variable: Variable, value: object, place: str) -> float | int | bool 
         if not math.isfinite(number):
             raise InvalidInput(f"{place}: {number} is no value; give a finite number")
         return number
-    raise InvalidInput(f"{place}: {value!r} given, {_WANTED[variable.type]} needed")
+    raise InvalidInput(f"{place}: {shown(value)} given, {_WANTED[variable.type]} needed")
 
 
 _WANTED = {

@@ -29,8 +29,9 @@ _CLAIM = (
     "Each design promises V' ≤ −rate + residue for every θ(t) whose distance from the centre of "
     "its box is at most δ. The search draws states at random and climbs from the worst of them; at "
     "each state the worst θ is known in closed form. The margin is V' + rate − residue: positive "
-    "where the promise is broken. Relative, it is a fraction of the terms that it is the sum of, "
-    "so that 1e-9 is rounding. A search proves nothing; it can only fail to find a violation."
+    "where the promise is broken. The relative margin is the margin divided by the sum of the "
+    "sizes of its terms: up to 1e-9 it is rounding. A search proves nothing; it can only fail to "
+    "find a violation."
 )
 
 
@@ -80,7 +81,7 @@ def _tile(found: Certification) -> Iterator[str]:
     lines = [("verdict", SHORT[found.verdict])]
     if found.finding is not None:
         lines.append(("worst margin", number(found.finding.margin.value)))
-        lines.append(("relative", f"{found.finding.margin.relative:.1e}"))
+        lines.append(("relative margin", f"{found.finding.margin.relative:.1e}"))
     lines.append(("δ of the design", "any" if found.delta is None else number(found.delta)))
     lines.append(("radius of θ(t)", number(found.design.radius)))
     if found.level is not None:
@@ -121,7 +122,7 @@ def _design(found: Certification) -> Iterator[str]:
         ]
         yield from table(["worst state"], lines, "The worst state that the search met")
         yield (
-            f'<p class="note">{finding.samples} states were drawn; at {finding.discarded} a term '
+            f'<p class="note">States drawn: {finding.samples}; at {finding.discarded} a term '
             f"overflowed, at {finding.resolved} the promised rate stands out of the rounding.</p>"
         )
     yield "<details><summary>The design</summary>"

@@ -13,10 +13,11 @@ from typing import Any
 
 from congelation.errors import InvalidInput
 from congelation.places import replace_whole
+from congelation.report.axes import axes_of
 from congelation.report.page_shell import Drawn, lines_of, opening, page, table
 from congelation.report.run_page import draw_overlaid
 from congelation.report.summary import label_of, number, short
-from congelation.report.verdict import axes_of, listed, settled
+from congelation.report.verdict import listed, settled
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 
@@ -210,7 +211,8 @@ def verdict(comparison: Comparison) -> Iterator[str]:
     pairs, count = comparison.pairs, len(comparison.pairs)
     runs = f"{count} run{'s' if count != 1 else ''}"
     if not comparison.alone:
-        yield f"{after} against {before}: all {runs} have a counterpart."
+        each = f"each of the {runs} has" if count != 1 else "the run has"
+        yield f"{after} against {before}: {each} a counterpart."
     else:
         yield (
             f"{after} against {before}: {runs} can be compared; {len(comparison.alone)} have no "
@@ -250,12 +252,12 @@ def verdict(comparison: Comparison) -> Iterator[str]:
         # What became infinite, or finite, or unknown comes before any number.
         size, name, pair = max(changes, key=lambda entry: entry[0])
         a, b = pair.before.metrics.get(name), pair.after.metrics.get(name)
-        said = (
-            f"{len(changes)} of {count * len(comparison.metrics)} metrics differ, most {name} of "
+        told = [f"{number(a)} before, {number(b)} now"] if number(a) != number(b) else []
+        told += [f"({percent(relative_change(a, b))})"] if math.isfinite(size) else []
+        yield (
+            f"{len(changes)} of {count * len(comparison.metrics)} metrics differ, most of all "
+            f"{name} of {pair.label}: {' '.join(told)}."
         )
-        said += f"{pair.label}: {number(a)} before, {number(b)} now"
-        said += f" ({percent(relative_change(a, b))})" if math.isfinite(size) else ""
-        yield f"{said}."
 
 
 def percent(change: float) -> str:

@@ -67,6 +67,12 @@ def _verdict(report: Report) -> Iterator[str]:
         yield f"No violation of the standard was found {where}."
     known = sum(bool(f.known) for f in report.findings)
     yield f"{', '.join(counts)}{f'; {known} accepted' if known else ''}."
+    verdicts = [verdict for fmu in checked for verdict in fmu.verdicts]
+    reasons = {v.reason for v in verdicts if v.outcome is Outcome.NOT_EVALUATED}
+    if reasons:
+        left = sum(v.outcome is Outcome.NOT_EVALUATED for v in verdicts)
+        why = reasons.pop() if len(reasons) == 1 else "the reasons are below"
+        yield f"{left} of {len(verdicts)} rules were not evaluated: {why}."
     skipped = len(report.fmus) - len(checked)
     if skipped:
         yield f"{skipped} of the FMUs could not be checked."

@@ -184,13 +184,18 @@ def _curves(
             continue
         first = held[0][1]
         values = first.select((column,))[:, 0]
+        given = first.signals.get(column)
         same = len(held) > 1 and all(
-            np.array_equal(first.time[: len(run.time)], run.time[: len(first.time)])
-            and np.array_equal(*_common(values, run.select((column,))[:, 0]))
+            (given is not None and run.signals.get(column) == given)
+            or (
+                np.array_equal(first.time[: len(run.time)], run.time[: len(first.time)])
+                and np.array_equal(*_common(values, run.select((column,))[:, 0]))
+            )
             for _, run in held[1:]
         )
-        if same:  # e.g. theta(t): the longest stands for all
-            held = [(EVERY, max((run for _, run in held), key=lambda run: len(run.time)))]
+        if same:  # e.g. theta(t): the longest stands for all, and of these the one with most rows
+            of_all = max((run for _, run in held), key=lambda run: (run.time[-1], len(run.time)))
+            held = [(EVERY, of_all)]
         for variant, run in held:
             shown = run.select((column,))[:, 0]
             yield _curve(column, variant, dash, run.units.get(column, ""), run.time, shown, points)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from congelation.report.curves import POINTS, controls, curve_panels, draw_panel
 from congelation.report.diagram import diagram
 from congelation.report.page_shell import Drawn, lines_of, opening, page, pairs, swatch, table, tile
 from congelation.report.study_page import study_content
+from congelation.report.study_verdict import study_verdict
 from congelation.report.summary import metric_definitions, summarise
-from congelation.report.verdict import run_verdict, settling_rule, study_verdict, tiles
+from congelation.report.verdict import run_verdict, settling_rule, tiles
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 
@@ -43,7 +45,7 @@ def write_html(results: Results, file: Path) -> None:
 def _run_page(results: Results, study: Study) -> str:
     """The page of a scenario's variants, each run once."""
     kept = [
-        (run, results.store.trajectory(run.run_id))
+        (run, replace(results.store.trajectory(run.run_id), signals=study.signals(run)))
         for run in study.records
         if results.store.trajectory_file(run.run_id).is_file()
     ]

@@ -86,7 +86,10 @@ congelation.study = (() => {
     const seen = usable.filter((k) => shown.has(study.variant[k]));
     frame("metric", seen.map((k) => put(x, xs[k])), seen.map((k) => place(y, ys[k])));
     axes("metric", axis, metric);
-    fill("metric-numbers", ["variant", name(axis), "runs", "low", "median", "high", "settled"], lines);
+    const single = lines.every((line) => line[2] === "1");  // quantiles of one run are its value
+    fill("metric-numbers", ["variant", name(axis),
+      ...(single ? [name(metric)] : ["runs", "low", "median", "high", "settled"])],
+      single ? lines.map((line) => [line[0], line[1], line[4]]) : lines);
   }
   function points(runs, a, b, x, y) {
     return {x: runs.map((k) => put(x, columns[a][k])), y: runs.map((k) => put(y, columns[b][k])),
@@ -200,7 +203,8 @@ congelation.study = (() => {
   function fill(id, heads, lines) {
     const table = document.getElementById(id);
     const head = document.createElement("tr");
-    heads.forEach((h) => head.append(element("th", h, {scope: "col"})));
+    // A name may be broken after its dots: sine.amplitude.
+    heads.forEach((h) => head.append(element("th", h.replaceAll(".", ".\u200b"), {scope: "col"})));
     table.tHead.replaceChildren(head);
     table.tBodies[0].replaceChildren(...lines.slice(0, 200).map((line) => {
       const row = document.createElement("tr");

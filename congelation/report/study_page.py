@@ -12,10 +12,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from congelation.errors import counted
+from congelation.report.axes import FEW, axes_of, short_names, unit_of
 from congelation.report.curves import PICKED, Curve, Panel, curve_panels, draw_panels
 from congelation.report.page_shell import Drawn, swatch, table
 from congelation.report.summary import label_of, number, summarise
-from congelation.report.verdict import FEW, axes_of, settled, short_names, unit_of
+from congelation.report.verdict import settled
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 
@@ -60,19 +62,20 @@ def study_content(
         pieces += _pareto_section(metrics, variants, study)
     kept = [run for run in runs if results.store.trajectory_file(run.run_id).is_file()]
     columns = ["run", "variant", *axes, "status", *metrics]
-    pieces += _table_section(columns, study, runs)
+    pieces += _table_section(columns, study, runs, axes)
     embedded = _embedded(results, kept)
     panels, held = _picked_panels(embedded)
     curves, scales = draw_panels(panels, variants)
-    note = "A click on a point or on a row of the table shows the run. "
+    note = "A click on a point or on a row of the table shows what was run and how it ended"
+    note += ", and its trajectories. " if kept else ". "
     if not kept:
         note += "No trajectories were kept; trajectories = true under [sweep] keeps them."
     elif len(embedded) == len(kept):
-        note += f"The trajectories of {len(kept)} runs are in this page."
+        note += f"The trajectories of {counted(len(kept), 'run')} are in this page."
     else:
         note += (
-            f"The trajectories of {len(embedded)} of {len(kept)} runs are in this page; of the "
-            "others it names the file."
+            f"The trajectories of {len(embedded)} of {counted(len(kept), 'run')} are in this "
+            "page; of the others it names the file."
         )
     if any(len(recorded.time) > POINTS for recorded in embedded.values()):
         note += (
@@ -207,12 +210,19 @@ def _counts(
     if all(settled(study, run) for run in study.records):
         return  # the verdict says so
     names = _axis_labels(study, axes)
+    rows = variants
+    if len(variants) > FEW // 2:  # those are told apart that differ
+        rows = [
+            variant
+            for variant in variants
+            if not all(settled(study, run) for run in study.records if run.variant == variant)
+        ]
     yield '<div class="counts">'
     for name, values in axes.items():
         if not 1 < len(values) <= FEW:
             continue
         lines = []
-        for variant in variants:
+        for variant in rows:
             cells = []
             for value in values:
                 there = [
@@ -225,6 +235,8 @@ def _counts(
         heads = [number(value) for value in values]
         yield from table(heads, lines, f"How many runs {done}, by {names[name]}")
     yield "</div>"
+    if len(rows) < len(variants):
+        yield f'<p class="note">The other variants {done} in all their runs.</p>'
 
 
 def _variant_controls(variants: Sequence[str]) -> Iterator[str]:
@@ -410,16 +422,35 @@ def _plot(name: str) -> figure:
 
 
 def _table_section(
-    columns: Sequence[str], study: Study, runs: Sequence[RunRecord]
+    columns: Sequence[str],
+    study: Study,
+    runs: Sequence[RunRecord],
+    axes: Mapping[str, Sequence[Any]],
 ) -> Iterator[str]:
+    # An example of a filter: the upper half of an axis of numbers, or the first variant.
+    short = short_names(axes)
+    example = next(
+        (
+            f"{short[name]} > {number(values[(len(values) - 1) // 2])}"
+            for name, values in axes.items()
+            if len(values) > 1 and all(isinstance(v, int | float) for v in values)
+        ),
+        runs[0].variant if runs else "",
+    )
     statuses = {"": "all", **{s: s for s in dict.fromkeys(run.status for run in runs)}}
     yield '<h2>Runs</h2><div class="controls">'
-    yield '<label>Filter <input id="filter-text" type="search" placeholder="omega &gt; 10"></label>'
+    yield (
+        '<label>Filter <input id="filter-text" type="search" '
+        f'placeholder="{escape(example)}"></label>'
+    )
     yield _select("filter-status", "Status", statuses)
     yield '<button id="runs-back" type="button">Previous</button>'
     yield '<button id="runs-on" type="button">Next</button>'
     yield '<output id="runs-shown" aria-live="polite"></output></div>'
-    yield '<p class="note">The filter holds for the plots, too. A heading sorts, Enter opens.</p>'
+    yield (
+        '<p class="note">The filter applies to the plots, too. A click on a heading sorts; a click '
+        "on a row, or Enter, opens the run.</p>"
+    )
     yield '<div class="scroll" tabindex="0" role="region" aria-label="Runs"><table id="runs">'
     yield "<thead><tr>"
     names = _labels(study)

@@ -198,7 +198,10 @@ def _draw(
         axes[-1].set_xlim(start, stop)
     if legend and len(drawn) > 1:
         handles = [
-            Line2D([], [], color="black", linestyle=_style(variants, v), label=v) for v in variants
+            Line2D(
+                [], [], color="black", linestyle=_style(variants, v), label=v.replace("$", r"\$")
+            )
+            for v in variants
         ]
         columns = min(2, _columns(variants, width))
         figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False)
@@ -216,8 +219,25 @@ def _cut(trajectory: Trajectory, start: float, stop: float) -> Trajectory:
 
 
 def _curves(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:
+    # A signal that several runs share, theta(t), is drawn once: of the run that went furthest, with
+    # the most rows, in the style of the first.
+    shared: dict[tuple[str, object], list[_Run]] = {}
     for run in runs:
         for column in run.trajectory.group(panel):
+            if column in run.trajectory.signals:
+                shared.setdefault((column, run.trajectory.signals[column]), []).append(run)
+    finest = {
+        key: max(found, key=lambda run: (run.trajectory.time[-1], len(run.trajectory.time)))
+        for key, found in shared.items()
+    }
+    for shown in runs:
+        for column in shown.trajectory.group(panel):
+            run = shown
+            if column in run.trajectory.signals:
+                key = (column, run.trajectory.signals[column])
+                if shared[key][0] is not shown:
+                    continue
+                run = finest[key]
             values = run.trajectory.select((column,))[:, 0]
             rows = thin(values, _BINS)
             unit = run.trajectory.units.get(column, "")
@@ -226,7 +246,7 @@ def _curves(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:
             if error_name(column) in run.trajectory.columns:
                 band = run.trajectory.select((error_name(column),))[rows, 0]
             time = run.trajectory.time[rows]
-            yield _Curve(label, run.variant, run.completed, time, values[rows], unit, band)
+            yield _Curve(label, shown.variant, run.completed, time, values[rows], unit, band)
 
 
 def _norms(runs: Sequence[_Run], panel: str) -> Iterator[_Curve]:

@@ -38,6 +38,7 @@ def about(
         "axes": [list(names) for names in axes],
         "units": {name: unit for name in varied if (unit := _unit_of_setting(name, descriptions))},
         "spelled": _spelled(varied, descriptions),
+        "signals": _signals(scenario, descriptions),
         "metrics": {spec.name: _about_metric(spec, descriptions) for spec in scenario.metrics},
         "figures": [asdict(figure) for figure in scenario.figures],
         "fmus": {
@@ -65,6 +66,19 @@ def _spelled(varied: Sequence[str], descriptions: Mapping[str, Description]) -> 
                 rest = variable.removeprefix(prefix).replace("mean", "constant")
                 found[name] = f"{owner}.profile.{component}.{rest}"
     return found
+
+
+def _signals(scenario: Scenario, descriptions: Mapping[str, Description]) -> dict[str, str]:
+    """The outputs that are their profile and nothing else, with what its settings begin with:
+    ``plant.theta[1]`` and ``plant.profile[1].``, unless something drives ``plant.dtheta[1]``."""
+    driven = {connection.target for connection in scenario.system.connections}
+    return {
+        f"{owner}.{of}": f"{owner}.{prefix}"
+        for owner, found in descriptions.items()
+        for of, prefix in profile_prefixes(found).items()
+        if of in found.variables
+        and driven.isdisjoint((f"{owner}.d{of}", f"{owner}.d{of.partition('[')[0]}"))
+    }
 
 
 def _about_metric(spec: MetricSpec, descriptions: Mapping[str, Description]) -> dict[str, Any]:

@@ -230,6 +230,9 @@ class Trajectory:
         Unit of each column; a missing or empty one is dimensionless.
     steps : Steps, optional
         The communication steps, which the rows do not show where they are on a grid of their own.
+    signals : mapping
+        Columns that are a given function of time, each with what determines it: of two runs with
+        equal entries the column is the same curve, whatever their rows.
     """
 
     time: Array
@@ -237,6 +240,7 @@ class Trajectory:
     values: Array
     units: Mapping[str, str]
     steps: Steps | None = None
+    signals: Mapping[str, object] = field(default_factory=dict)
 
     def group(self, name: str) -> tuple[str, ...]:
         """Columns called `name` or ``name[..]``, in order; ``plant.x`` is all of the vector x."""
@@ -261,6 +265,17 @@ class Study:
 
     records: tuple[RunRecord, ...]
     about: Mapping[str, Any]
+
+    def signals(self, run: RunRecord) -> dict[str, object]:
+        """The columns that follow from a profile alone, theta(t), with what determines them."""
+        return {
+            column: (
+                run.study,
+                run.replicate,
+                *sorted((n, repr(v)) for n, v in run.settings.items() if n.startswith(prefix)),
+            )
+            for column, prefix in self.about.get("signals", {}).items()
+        }
 
 
 def thin(values: Array, bins: int) -> npt.NDArray[np.intp]:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import html
 import sys
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, counted, nearest
 from congelation.results.print_figures import WIDTH, draw, draw_panels
 from congelation.results.record import GROUPS, RunRecord, Study, Trajectory
 from congelation.results.store import Store
@@ -26,6 +27,9 @@ SHOWN = 6
 """Rows that a repr shows: ten lines in all."""
 
 SHOWN_COLUMNS = 8
+
+CELL = 32
+"""Characters that a cell of a repr shows at most."""
 
 PLOTTED = 8
 """Runs that a figure shows; more cannot be told apart."""
@@ -87,7 +91,7 @@ class Runs(Sequence[RunRecord]):
         for number, record in enumerate(self):
             if number == place:
                 return record
-        raise IndexError(f"there are {len(self)} runs, and none of them has the number {key}")
+        raise IndexError(f"no run has the number {key}; there are {len(self)}")
 
     def _column(self, name: str) -> npt.NDArray[Any]:
         """One column: numbers with nan for what is missing, or objects."""
@@ -99,8 +103,13 @@ class Runs(Sequence[RunRecord]):
         return np.array([np.nan if value is None else value for value in values])
 
     def __repr__(self) -> str:
+        lines = self._shown()
+        widths = [min(CELL, max(map(len, column))) for column in zip(*lines, strict=True)]
         return "\n".join(
-            "  ".join(cell[:16].ljust(16) for cell in line).rstrip() for line in self._shown()
+            "  ".join(
+                cell[:width].ljust(width) for cell, width in zip(line, widths, strict=True)
+            ).rstrip()
+            for line in lines
         )
 
     def _repr_html_(self) -> str:
@@ -224,7 +233,9 @@ class Results:
         ]
         if not kept:
             raise InvalidInput(f"{self.folder} holds no trajectories to plot")
-        runs = [(record, self.store.trajectory(record.run_id)) for record in kept]
+        runs = [
+            (r, replace(self.store.trajectory(r.run_id), signals=study.signals(r))) for r in kept
+        ]
         _let_notebooks_show_figures()
         if name is None and not study.about["figures"]:
             panels = dict.fromkeys(c.partition("[")[0] for c in runs[0][1].columns)
@@ -234,13 +245,14 @@ class Results:
     def __repr__(self) -> str:
         title = self.about.get("title", "") if self.store.database.is_file() else ""
         more = len(self.runs) - SHOWN
-        lines = [f"{title or 'Results'}: {len(self.runs)} runs in {self.folder}"]
+        lines = [f"{title or 'Results'}: {counted(len(self.runs), 'run')} in {self.folder}"]
         if len(self.runs):
             lines.append(repr(self.runs))
         return "\n".join([*lines, *([f".. and {more} more"] if more > 0 else [])])
 
     def _repr_html_(self) -> str:
-        text = f"{self.about.get('title', 'Results')}: {len(self.runs)} runs in {self.folder}"
+        title, runs = self.about.get("title", "Results"), counted(len(self.runs), "run")
+        text = f"{title}: {runs} in {self.folder}"
         return f"<p>{html.escape(text)}</p>{self.runs._repr_html_()}"
 
 

@@ -132,7 +132,7 @@ class Store:
 
     def export(self) -> Path:
         """Write runs.parquet: every record of this directory."""
-        with closing(self._reader()) as connection:
+        with self._reading() as connection:
             names = dict(tables.columns_of(connection))
             schema = pa.schema(
                 [(name, tables.arrow_type(connection, name, names[name])) for name in names]
@@ -216,19 +216,19 @@ class Store:
         InvalidInput
             If this is no result directory.
         """
-        with closing(self._reader()) as connection:
+        with self._reading() as connection:
             names = dict(tables.columns_of(connection))
             for rows in tables.batches(connection, names, study):
                 yield from rows
 
     def columns(self) -> dict[str, str]:
         """Names and SQL types of the columns."""
-        with closing(self._reader()) as connection:
+        with self._reading() as connection:
             return dict(tables.columns_of(connection))
 
     def query(self, text: str, study: str | None = None, *more: object) -> list[tuple[Any, ...]]:
         """The rows of a query; ``{where}`` in it becomes the restriction to a study."""
-        with closing(self._reader()) as connection:
+        with self._reading() as connection:
             where, parameters = tables.restriction(study)
             return connection.execute(
                 text.replace("{where}", where), (*parameters, *more)
@@ -294,6 +294,15 @@ class Store:
         with suppress(FileExistsError):
             os.link(temporary, self.database)
         temporary.unlink()
+
+    @contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        """A connection that only reads; a damaged file is said to be one."""
+        with closing(self._reader()) as connection:
+            try:
+                yield connection
+            except sqlite3.Error as error:
+                raise InvalidInput(f"{self.database} cannot be read: {error}") from error
 
     def _reader(self) -> sqlite3.Connection:
         self._refuse_old()

@@ -10,7 +10,7 @@ from functools import partial
 import numpy as np
 
 from congelation import keys
-from congelation.errors import nearest
+from congelation.errors import counted, nearest
 from congelation.scenario.axes import DISTRIBUTIONS, RandomAxis, Replicates, Sweep
 from congelation.scenario.constraint import Constraint
 from congelation.scenario.parts import EXPERIMENT, Settings
@@ -50,6 +50,8 @@ def read_sweep(section: Section, reader: SettingsReader, variants: Mapping[str, 
                         "there, or name the variants that the axis is of: variants = [..]",
                     )
         given = axis.value(keys.AXIS["set"])
+        if twice := [name for name in given if given.count(name) > 1]:
+            raise axis.error("set", f"sets '{twice[0]}' twice; leave one of them out")
         if len(given) == len(names):
             spelled |= dict(zip(given, names, strict=True))
         if isinstance(found, RandomAxis):
@@ -177,7 +179,9 @@ def _list(
     for index, value in enumerate(values, start=1):
         row = value if together else [value]
         if not isinstance(row, list) or len(row) != len(names):
-            raise section.error(f"values[{index}]", f"is not valid; give {len(names)} values")
+            raise section.error(
+                f"values[{index}]", f"is not valid; give {counted(len(names), 'value')}"
+            )
         at = f"{section.path}.values[{index}]"
         entries.append(
             reader.read(replace(section, path=at, data=dict(zip(names, row, strict=True))))

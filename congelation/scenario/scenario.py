@@ -19,7 +19,7 @@ import numpy as np
 
 from congelation import keys
 from congelation.cosim.system import System
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, counted, require, require_all, shown
 from congelation.scenario.axes import Sweep
 from congelation.scenario.parts import (
     EXPERIMENT,
@@ -110,6 +110,17 @@ class Scenario:
     warnings: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
+        require(self.title, str, "Scenario: title", "a string")
+        require(self.system, System, "Scenario: system", "a System")
+        require(self.experiment, Experiment, "Scenario: experiment", "an Experiment")
+        require_all(self.variants, Variant, "Scenario: variants", "a Variant")
+        require_all(self.metrics, MetricSpec, "Scenario: metrics", "a MetricSpec")
+        require_all(self.figures, FigureSpec, "Scenario: figures", "a FigureSpec")
+        require(self.sweep, (Sweep, type(None)), "Scenario: sweep", "a Sweep, or None")
+        require_all(self.open, str, "Scenario: open", "a string, component.variable")
+        names = [metric.name for metric in self.metrics]
+        if twice := [name for name in names if names.count(name) > 1]:
+            raise InvalidInput(f"Scenario: metrics: '{twice[0]}' is given twice; names must differ")
         lists = len(self.sweep.lists) if self.sweep is not None else 0
         spelled = partial(_python_place, lists=lists)
         self._fill(read_scenario(Section("Scenario", "", self.document(), spelled=spelled), "run"))
@@ -125,7 +136,7 @@ class Scenario:
         ]
         lines = [
             f"Scenario: {self.title}",
-            f"  components: {fmus}; {len(self.system.connections)} connections",
+            f"  components: {fmus}; {counted(len(self.system.connections), 'connection')}",
             f"  {experiment.start_time:g} .. {experiment.stop_time:g} s, "
             + ", ".join([f"coupling {experiment.coupling}", *steps]),
             "  variants: " + ", ".join(variant.name for variant in self.variants),
@@ -134,7 +145,9 @@ class Scenario:
             lines.append("  metrics: " + ", ".join(metric.name for metric in self.metrics))
         if self.sweep is not None:
             axes = len(self.sweep.lists) + len(self.sweep.axes)
-            lines.append(f"  sweep: {axes} axes, {self.sweep.samples} samples")
+            lines.append(
+                f"  sweep: {counted(axes, 'axis', 'axes')}, {counted(self.sweep.samples, 'sample')}"
+            )
         return "\n".join(lines)
 
     @classmethod
@@ -186,7 +199,7 @@ class Scenario:
                 admitted = keys.EXPERIMENT[name]
                 if isinstance(value, float) and not admitted.admits(value):
                     raise InvalidInput(
-                        f"{self.place}: {EXPERIMENT}.{name} = {value!r} is not valid; "
+                        f"{self.place}: {EXPERIMENT}.{name} = {shown(value)} is not valid; "
                         f"give {admitted.valid}"
                     )
             values = {f.name: getattr(experiment, f.name) for f in fields(experiment)}

@@ -19,6 +19,7 @@ __all__ = [
     "finite",
     "nearest",
     "number_field",
+    "shown",
 ]
 
 # Seeds are FMI Integers: signed, 32 bits.
@@ -46,6 +47,11 @@ def finite(value: Any) -> float:
     return number if math.isfinite(number) else math.nan
 
 
+def shown(value: Any) -> str:
+    """A value as a specification spells it, shortened."""
+    return str(value).lower() if isinstance(value, bool) else reprlib.repr(value)
+
+
 def checked(value: Any, meta: Mapping[str, Any], where: str) -> Any:
     """`value` as the type that `meta` declares; `where` is its name in messages."""
     if meta["type"] == "Integer":
@@ -59,13 +65,13 @@ def checked(value: Any, meta: Mapping[str, Any], where: str) -> Any:
         if real > 0.0 or (real == real and not meta["positive"]):
             return real
         wanted = "a finite number" + (" above 0" if meta["positive"] else "")
-    raise ProfileError(f"{where} = {reprlib.repr(value)}: must be {wanted}")
+    raise ProfileError(f"{where} = {shown(value)}: must be {wanted}")
 
 
 def boolean(value: Any, where: str) -> bool:
     """`value` if it is true or false; `where` is its name in messages."""
     if not isinstance(value, bool):
-        raise ProfileError(f"{where} = {reprlib.repr(value)}: must be true or false")
+        raise ProfileError(f"{where} = {shown(value)}: must be true or false")
     return value
 
 

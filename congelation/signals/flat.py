@@ -152,12 +152,12 @@ def flat_of_terms(terms: Sequence[Term], slots: Slots) -> dict[str, Any]:
     for kind in SLOTTED:
         alike = [term for term in terms if term.kind == kind]
         if len(alike) > slots.count(kind):
-            raise ProfileError(f"{len(alike)} terms {kind}: at most {slots.count(kind)} fit")
+            raise ProfileError(f"terms {kind}: {len(alike)} given, at most {slots.count(kind)} fit")
         for k, term in enumerate(alike, 1):
             flat.update({f"{kind}[{k}].{key}": v for key, v in body_of(term).items()})
     tables = [term for term in terms if isinstance(term, Table)]
     if len(tables) > int(slots.table):
-        raise ProfileError(f"{len(tables)} terms table: at most {int(slots.table)} fit")
+        raise ProfileError(f"terms table: {len(tables)} given, at most {int(slots.table)} fit")
     for table in tables:
         if not table.file:
             raise ProfileError("table.times: give the rows in a CSV file, as table.file")

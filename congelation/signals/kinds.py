@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import MISSING, fields
 from typing import Any
 
-from .checks import ProfileError, check_keys, checked
+from .checks import ProfileError, check_keys, checked, shown
 from .noise import Noise
 from .table import Table
 from .telegraph import Telegraph
@@ -44,7 +44,7 @@ def scalar_term(kind: str, given: Mapping[str, Any], where: str) -> Term:
 def table_of_file(file: Any, linear: bool, where: str, base: str) -> Table:
     """The table in a CSV file relative to `base`, which is called `where` in messages."""
     if not isinstance(file, str):
-        raise ProfileError(f"{where} = {reprlib.repr(file)}: must be the name of a CSV file")
+        raise ProfileError(f"{where} = {shown(file)}: must be the name of a CSV file")
     try:
         return Table.from_csv(os.path.join(base, file), linear)
     except ProfileError as error:

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from .checks import ProfileError, boolean, check_keys, checked, finite
+from .checks import ProfileError, boolean, check_keys, checked, finite, shown
 from .kinds import BY_KIND, KINDS, body_of, parameters, scalar_term, table_of_file
 from .table import Table
 from .terms import Constant, Term
@@ -20,7 +19,7 @@ def terms_of_spec(spec: Any, where: str, base: str) -> tuple[Term, ...]:
         return (Constant(spec),)
     if not isinstance(spec, (list, tuple)):
         raise ProfileError(
-            f"{where} = {reprlib.repr(spec)}: must be a finite number or a list of terms, "
+            f"{where} = {shown(spec)}: must be a finite number or a list of terms, "
             "such as [{constant = -3.0}, {sine = {amplitude = 0.6, omega = 0.4}}]"
         )
     return tuple(_term(item, f"{where}[{k}]", base) for k, item in enumerate(spec, 1))
@@ -35,7 +34,7 @@ def _term(item: Any, where: str, base: str) -> Term:
     """The term that one element of a specification describes."""
     if not isinstance(item, Mapping) or len(item) != 1:
         raise ProfileError(
-            f"{where} = {reprlib.repr(item)}: must be one term, such as {{constant = -3.0}}; "
+            f"{where} = {shown(item)}: must be one term, such as {{constant = -3.0}}; "
             "terms: " + ", ".join(KINDS)
         )
     ((kind, body),) = item.items()
@@ -46,7 +45,7 @@ def _term(item: Any, where: str, base: str) -> Term:
         return Constant(body)
     if not isinstance(body, Mapping):
         keys = ("file", "linear") if kind == Table.kind else tuple(parameters(BY_KIND[kind]))
-        raise ProfileError(f"{where} = {reprlib.repr(body)}: must be a table of " + ", ".join(keys))
+        raise ProfileError(f"{where} = {shown(body)}: must be a table of " + ", ".join(keys))
     if kind != Table.kind:
         return scalar_term(kind, body, where)
     check_keys(body, ("times", "values", "file", "linear"), where)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from math import inf
 from typing import ClassVar
 
-from .checks import ProfileError, boolean, checked
+from .checks import ProfileError, boolean, checked, shown
 from .segment import Segment
 from .terms import Term
 
@@ -56,7 +56,7 @@ class Table(Term):
             given = getattr(self, name)
             if isinstance(given, str) or not isinstance(given, Sequence) or not given:
                 raise ProfileError(
-                    f"table.{name} = {reprlib.repr(given)}: must be a list of at least one number"
+                    f"table.{name} = {shown(given)}: must be a list of at least one number"
                 )
             meta = {"type": "Real", "positive": False}
             row = tuple(checked(v, meta, f"table.{name}[{i}]") for i, v in enumerate(given, 1))
@@ -64,7 +64,8 @@ class Table(Term):
         boolean(self.linear, "table.linear")
         if len(self.times) != len(self.values):
             raise ProfileError(
-                f"table: {len(self.times)} times but {len(self.values)} values; one value per time"
+                f"table: times has {len(self.times)} entries, values {len(self.values)}; "
+                "give one value per time"
             )
         fault = _table_fault(self.times, self.values)
         if fault:

@@ -9,6 +9,7 @@ missing.
 from __future__ import annotations
 
 import itertools
+import os
 import time
 import warnings
 from collections import Counter, deque
@@ -17,7 +18,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from congelation.errors import DesignWarning, InvalidInput
+from congelation.errors import DesignWarning, InvalidInput, require
 from congelation.places import StoreError
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
@@ -203,6 +204,7 @@ def sweep(
 
 def read(scenario: Scenario | Path | str) -> Scenario:
     """A scenario, or the one that a file describes."""
+    require(scenario, (Scenario, str, os.PathLike), "scenario", "a Scenario, or the path of one")
     return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
 
 
@@ -217,6 +219,9 @@ def _warn(scenario: Scenario) -> None:
 def result_folder(scenario: Scenario, out: Path | str | None) -> Path:
     """Where results go."""
     if out is not None:
+        require(out, (str, os.PathLike), "out", "a path")
+        if not os.fspath(out):
+            raise InvalidInput("out is empty; give the path of a folder")
         return Path(out)
     if scenario.file is None:
         raise InvalidInput("a scenario without a file has no folder for its results; give out")
@@ -252,7 +257,7 @@ def carry_out(plan: Plan, workers: Workers, progress: Listener | None = None) ->
             plan.store.close()
     plan.store.export()
     if engine.refused and engine.refused[0] == plan.total:
-        raise InvalidInput(f"{plan.scenario.file}: {engine.refused[1]}")
+        raise InvalidInput(f"{plan.scenario.place}: {engine.refused[1]}")
     return Results(plan.store.root, plan.job.study)
 
 

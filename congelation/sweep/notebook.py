@@ -6,6 +6,8 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
+from congelation.errors import counted
+
 if TYPE_CHECKING:
     from congelation.sweep.engine import Listener, Tally
 
@@ -35,7 +37,7 @@ def notebook_progress() -> Listener | None:
             return
         shown = now
         part = tally.done + tally.under_way
-        text = f"{tally.done} of {tally.total} runs, {tally.failed} failed"
+        text = f"{tally.done} of {counted(tally.total, 'run')}, {tally.failed} failed"
         handle.update(HTML(f'<progress value="{part}" max="{tally.total}"></progress> {text}'))
 
     return show

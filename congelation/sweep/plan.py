@@ -10,16 +10,18 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
+from numbers import Real
 from pathlib import Path
 from typing import Any, cast
 
 from congelation.cosim.coupling import Auto, refuse_tolerance
 from congelation.cosim.result import Status
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, counted, require
 from congelation.fmi.description import describe
 from congelation.results.identity import (
     ID_LENGTH,
@@ -157,6 +159,12 @@ def plan_study(
     for status in retry:
         if status not in FAILURES:
             raise InvalidInput(f"'{status}' is no status to retry; valid: {', '.join(FAILURES)}")
+    if timeout is not None:
+        require(timeout, Real, "timeout", "a number of seconds")
+        if not 0.0 < timeout < math.inf:
+            raise InvalidInput(
+                f"timeout = {timeout} is not valid; give a positive number of seconds"
+            )
     if swept and scenario.sweep is None:
         raise InvalidInput(f"{scenario.place}: no [sweep]; give its axes, or use: congelation run")
     store = Store(folder)
@@ -211,7 +219,8 @@ def _refuse_other_runs(store: Store, scenario: Scenario, swept: bool, resume: bo
     if swept:
         if not resume:
             raise InvalidInput(
-                f"{store.root} holds {done} finished runs; give --resume to go on, or another --out"
+                f"{store.root} holds {counted(done, 'finished run')}; give --resume to go on, "
+                "or another --out"
             )
         return
     newest = store.about()

@@ -19,7 +19,7 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, counted
 from congelation.theory.closed_loop import ClosedLoop, Compiled
 
 __all__ = ["Certificate", "Coordinates", "Finding", "Margin", "PerturbationSet"]
@@ -340,8 +340,8 @@ class Certificate:
         finite = [e for e in met if math.isfinite(e.margin.excess)]
         if not finite:
             raise InvalidInput(
-                f"the certificate is not finite at any of {samples} states, because parameters are "
-                f"too large or too small; the most extreme: {self._most_extreme()}"
+                f"the certificate is not finite at any of {counted(samples, 'state')}, because "
+                f"parameters are too large or too small; the most extreme: {self._most_extreme()}"
             )
         best = sorted(finite, key=Encounter.rank, reverse=True)[:ascents]
         climbed = [self._ascend(e.Y, e.ell) for e in best]

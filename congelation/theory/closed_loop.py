@@ -11,11 +11,11 @@ import numpy as np
 import scipy
 from numpy.typing import ArrayLike, NDArray
 
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, amount, shown
 from congelation.theory.model import Input, Model, Variables
 from congelation.theory.values import complete_values
 
-__all__ = ["ClosedLoop", "Compiled", "External", "Segment", "Solution", "Source", "close"]
+__all__ = ["ClosedLoop", "Compiled", "External", "SmoothPiece", "Solution", "Source", "close"]
 
 Vector = NDArray[np.float64]
 
@@ -164,7 +164,7 @@ def _numbered(source: Source, time: ca.SX | None) -> Model:
 
 
 @dataclass(frozen=True)
-class Segment:
+class SmoothPiece:
     """theta(t) on an interval on which it is smooth.
 
     Parameters
@@ -296,7 +296,7 @@ class ClosedLoop:
 
     def solve(
         self,
-        segments: Sequence[Segment],
+        segments: Sequence[SmoothPiece],
         start: Vector,
         times: ArrayLike,
         *,
@@ -308,7 +308,7 @@ class ClosedLoop:
 
         Parameters
         ----------
-        segments : sequence of Segment
+        segments : sequence of SmoothPiece
             Each starts where the one before ends.
         start : ndarray
             X at the start of the first segment.
@@ -408,7 +408,7 @@ def _connection(source: Model, target: Model) -> list[tuple[ca.SX, ca.SX]]:
             continue
         if name not in outputs or outputs[name].shape != entry.variables.shape:
             raise InvalidInput(
-                f"{target.name} wants '{name}' of {entry.variables.shape[0]} elements, which "
+                f"{target.name} wants {amount(entry.variables.shape[:1])} of '{name}', which "
                 f"{source.name} does not put out; close a plant with the controller of its form"
             )
         pairs.append((entry.variables.symbol, outputs[name].symbol))
@@ -419,7 +419,9 @@ def _start(variables: Variables, value: ArrayLike) -> Vector:
     column = np.asarray(value, dtype=float).ravel()
     size = len(variables.names)
     if column.size != size:
-        raise InvalidInput(f"{variables.name} has {column.size} elements; valid: {size}")
+        raise InvalidInput(
+            f"{variables.name} = {shown(column)} is not valid; give {amount((size,))}"
+        )
     return column
 
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, counted, nearest
 
 __all__ = ["known_variations", "parse", "parse_of_time"]
 
@@ -150,8 +150,8 @@ def known_variations(rows: Sequence[Sequence[str]], p: int, n: int, t: ca.SX) ->
     if len(rows) != p or len({len(row) for row in rows}) != 1:
         sizes = ", ".join(str(len(row)) for row in rows)
         raise InvalidInput(
-            f"Upsilon has {len(rows)} rows of {sizes} formulas; valid: a row for each of the "
-            f"{p} elements of theta, all of one length"
+            f"Upsilon has {counted(len(rows), 'row')} of {sizes} formulas; valid: a row for each "
+            f"of the {p} elements of theta, all of one length"
         )
     parsed = [[parse_of_time(text, t) for text in row] for row in rows]
     for texts, row in zip(rows, parsed, strict=True):

@@ -13,7 +13,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
-from congelation.errors import InfeasibleDesign, InvalidInput
+from congelation.errors import InfeasibleDesign, InvalidInput, shown
 from congelation.theory.iss_riccati import (
     iss_riccati,
     iss_weight,
@@ -189,7 +189,7 @@ def matched_riccati(
         raise InfeasibleDesign(
             "the Riccati equation for P cannot be solved in double precision with "
             f"rho = {rho:.9g}, epsilon = {epsilon:.9g}, delta = {delta:.9g}, "
-            f"Q = {weight.tolist()}; give values closer together"
+            f"Q = {shown(weight)}; give values closer together"
         )
     raise InfeasibleDesign(
         f"rho = {rho:.9g} is infeasible with epsilon = {epsilon:.9g}, delta = {delta:.9g}: the "

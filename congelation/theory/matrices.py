@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, amount, shown
 from congelation.theory.riccati import exact, is_definite
 
 __all__ = [
@@ -46,7 +46,7 @@ def square(value: ArrayLike, n: int, name: str) -> Matrix:
     """`value` as an array of shape (n, n); `name` is for the message of another shape."""
     array = np.asarray(value, dtype=float)
     if array.shape != (n, n):
-        raise InvalidInput(f"{name} has shape {array.shape}; valid: ({n}, {n})")
+        raise InvalidInput(f"{name} = {shown(array)} is not valid; give {amount((n, n))}")
     return array
 
 
@@ -58,4 +58,4 @@ def positive_definite(Q: ArrayLike) -> Matrix:
         symmetric = np.abs(given - weight).max() <= SYMMETRY_TOLERANCE * np.abs(given).max()
         if symmetric and is_definite(exact(weight)):
             return weight
-    raise InvalidInput(f"Q = {given.tolist()}; valid: symmetric and positive definite")
+    raise InvalidInput(f"Q = {shown(given)}; valid: symmetric and positive definite")

@@ -7,7 +7,6 @@ export, the monolithic solution, the certificate, the tests) starts from one.
 from __future__ import annotations
 
 import enum
-import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Literal
@@ -15,7 +14,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, amount, nearest, shown
 
 __all__ = [
     "Domain",
@@ -346,13 +345,13 @@ def _shaped(name: str, value: object, known: Mapping[str, tuple[int, int]]) -> t
     try:
         numbers = np.asarray(value, dtype=float)
     except (OverflowError, TypeError, ValueError):
-        raise InvalidInput(f"{name} = {reprlib.repr(value)} is not valid; give numbers") from None
+        raise InvalidInput(f"{name} = {shown(value)} is not valid; give numbers") from None
     shapes: set[tuple[int, ...]] = {(rows, columns)}
     if columns == 1:
         shapes.add((rows,))
     if rows == columns == 1:
         shapes.add(())
     if numbers.shape not in shapes or not np.isfinite(numbers).all():
-        size = f"{rows} numbers" if columns == 1 else f"{rows} rows of {columns} numbers"
-        raise InvalidInput(f"{name} = {reprlib.repr(value)} is not valid; give {size}")
+        size = amount((rows,) if columns == 1 else (rows, columns))
+        raise InvalidInput(f"{name} = {shown(value)} is not valid; give {size}")
     return tuple(float(v) for v in numbers.ravel())

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, amount, nearest, shown
 from congelation.theory.gains import RULES
 from congelation.theory.matrices import SYMMETRY_TOLERANCE
 from congelation.theory.model import Domain, Gain, Model, Parameter
@@ -65,8 +64,7 @@ def _computed(gain: Gain, arguments: Sequence[object]) -> NDArray[np.float64]:
     if np.isfinite(found).all():
         return found
     given = ", ".join(
-        f"{name} = {np.asarray(value).tolist()}"
-        for name, value in zip(gain.arguments, arguments, strict=True)
+        f"{name} = {shown(value)}" for name, value in zip(gain.arguments, arguments, strict=True)
     )
     raise InvalidInput(
         f"{gain.variables.name} cannot be computed from {given}: the numbers leave the range of "
@@ -82,16 +80,17 @@ def _shaped(name: str, value: object, shape: tuple[int, int]) -> NDArray[np.floa
     try:
         array = np.asarray(value, dtype=float)
     except (OverflowError, TypeError, ValueError):
-        raise InvalidInput(f"{name} = {reprlib.repr(value)} is not valid; give numbers") from None
+        raise InvalidInput(f"{name} = {shown(value)} is not valid; give numbers") from None
     if array.size != shape[0] * shape[1]:
-        raise InvalidInput(f"{name} has {array.size} elements; valid: {shape[0]} x {shape[1]}")
+        size = amount(shape[:1] if shape[1] == 1 else shape)
+        raise InvalidInput(f"{name} = {shown(value)} is not valid; give {size}")
     return array.reshape(shape)
 
 
 def _check_domain(parameter: Parameter, value: NDArray[np.float64]) -> None:
     domain, name = parameter.domain, parameter.variables.name
     if not np.isfinite(value).all() or not _inside(domain, value):
-        raise InvalidInput(f"{name} = {value.tolist()}; valid: {domain.value}")
+        raise InvalidInput(f"{name} = {shown(value)}; valid: {domain.value}")
 
 
 def _inside(domain: Domain, value: NDArray[np.float64]) -> bool:

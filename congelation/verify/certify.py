@@ -13,11 +13,12 @@ import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Integral, Real
 from pathlib import Path
 
 import numpy as np
 
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, counted, require, require_count
 from congelation.export.assumptions import HORIZON, spec_assumptions, structured
 from congelation.export.spec import Spec, read_spec
 from congelation.scenario.load import load_scenario
@@ -191,8 +192,7 @@ def certify(
         Of the random states.
     umax : float, optional
         Limit of the size of a saturated control, in the unit of u: for each design that holds, the
-        largest level set of V in which it never saturates is looked for, see
-        `congelation.theory.saturation`.
+        largest level set of V in which it never saturates is looked for.
 
     Returns
     -------
@@ -210,8 +210,14 @@ def certify(
     >>> found.verdict.name
     'HOLDS'
     """
+    if umax is not None:
+        require(umax, Real, "umax", "a positive number")
     if umax is not None and not 0.0 < umax < math.inf:
         raise InvalidInput(f"umax = {umax!r} is not valid; give a positive number")
+    require_count(samples, "samples")
+    require(seed, Integral, "seed", "a whole number that is not negative")
+    if seed < 0:
+        raise InvalidInput(f"seed = {seed} is not valid; give a whole number that is not negative")
     found = [certify_design(design, samples, seed) for design in designs_of(what)]
     if umax is None:
         return tuple(found)
@@ -273,7 +279,8 @@ def certify_design(design: Design, samples: int = 1000, seed: int = 0) -> Certif
     if finding.resolved < LEAST_RESOLVED * samples:
         reason = (
             f"the promised rate is below the rounding of V' at {samples - finding.resolved} of "
-            f"{samples} states; give parameters nearer to 1, the most extreme is {finding.extreme}"
+            f"{counted(samples, 'state')}; give parameters nearer to 1, the most extreme "
+            f"is {finding.extreme}"
         )
         return Certification(design, Verdict.PRECISION, (reason,), finding)
     ultimate = None
@@ -336,7 +343,7 @@ def _of_scenario(scenario: Scenario) -> list[Design]:
             found = reference(_alone(case))
             remarks = case_assumptions(case)
         except InvalidInput as error:
-            raise InvalidInput(f"{scenario.file}: {variant.name}: {error}") from error
+            raise InvalidInput(f"{scenario.place}: {variant.name}: {error}") from error
         stop = case.experiment.stop_time
         radius = _radius(found.loop, found.profiles, found.offsets, stop)
         bounds = [

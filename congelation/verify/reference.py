@@ -30,9 +30,8 @@ from congelation.fmi.description import describe
 from congelation.fmi.start_values import resolve_start
 from congelation.results.record import Trajectory
 from congelation.scenario.parts import Case, Experiment, Scalar
-from congelation.signals import Profile
-from congelation.signals import Segment as Piece
-from congelation.theory.closed_loop import ClosedLoop, Segment, Source, close
+from congelation.signals import Profile, Segment
+from congelation.theory.closed_loop import ClosedLoop, SmoothPiece, Source, close
 from congelation.theory.model import Model, Output, Variables
 
 __all__ = [
@@ -91,7 +90,7 @@ class Reference:
         theta(t), component by component, without the constants dtheta.
     offsets : tuple of float
         The constants dtheta.
-    segments : tuple of Segment
+    segments : tuple of SmoothPiece
         theta(t) from the start time to the stop time.
     start : ndarray
         Start values of the loop's states.
@@ -104,7 +103,7 @@ class Reference:
     loop: ClosedLoop
     profiles: tuple[Profile, ...]
     offsets: tuple[float, ...]
-    segments: tuple[Segment, ...]
+    segments: tuple[SmoothPiece, ...]
     start: Floats
 
     @property
@@ -395,6 +394,11 @@ def _check_loop(
     driven: dict[str, dict[str, str]] = {block.name: {} for block in blocks}
     given, following = set(), ""
     for link in system.resolve().links:
+        if link.converts:
+            raise InvalidInput(
+                f"connection '{link.name}' converts units, which the equations do not: give "
+                "both blocks one unit"
+            )
         source, _, target = link.name.partition(" -> ")
         block, _, output = source.partition(".")
         if block not in driven or target not in outside:
@@ -427,7 +431,7 @@ def _segments(
     offsets: Sequence[float],
     signals: Sequence[Profile],
     timed: bool,
-) -> tuple[Segment, ...]:
+) -> tuple[SmoothPiece, ...]:
     """theta(t), then the signals of the reference and time, on the pieces between their jumps."""
     stop = case.experiment.stop_time
     segments, time = [], case.experiment.start_time
@@ -435,7 +439,7 @@ def _segments(
         pieces = [profile.segment(time) for profile in (*profiles, *signals)]
         end = min([piece.end for piece in pieces] + [stop])
         added = (*offsets, *(0.0 for _ in signals))
-        segments.append(Segment(time, end, partial(_theta_at, pieces, added, timed)))
+        segments.append(SmoothPiece(time, end, partial(_theta_at, pieces, added, timed)))
         time = end
     return tuple(segments)
 
@@ -455,7 +459,7 @@ def theta_of(values: Mapping[str, Scalar]) -> tuple[list[Profile], list[float]]:
 
 
 def _theta_at(
-    pieces: Sequence[Piece], offsets: Sequence[float], timed: bool, t: float
+    pieces: Sequence[Segment], offsets: Sequence[float], timed: bool, t: float
 ) -> list[float]:
     values = [piece.value(t) + offset for piece, offset in zip(pieces, offsets, strict=True)]
     return [*values, t] if timed else values

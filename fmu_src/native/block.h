@@ -131,9 +131,10 @@ struct table {
     double start, held, slope; /* of the piece last asked for */
 };
 
-/* A profile: what holds at all times, and terms with events. */
+/* A profile: what holds at all times, and terms with events; the level is all that is constant on the
+   piece last found. */
 struct profile {
-    double held, start;
+    double held, start, level;
     struct table table;
     int sine_count, term_count;
     sine *sines;
@@ -141,12 +142,15 @@ struct profile {
     struct piece *pieces;
 };
 
-/* All profiles on one smooth piece, and their values at the time last asked for: a step begins at
-   the time at which the one before ended, and outputs are read there. */
+/* All profiles on one smooth piece, and their values at the times last asked for, as sines take most
+   of a step: a step begins where the one before ended, outputs are read there, and a master that
+   iterates makes the same step again. Each time has one place, which the next time there takes over;
+   NaN is the time of an empty place. */
+enum { REMEMBERED = 32 };
 struct smooth {
     double start, end;
     bool known;
-    double at, *values; /* `at` is NaN without values */
+    double times[REMEMBERED], *values; /* PROFILES values at each time */
 };
 
 bool profile_bind(struct profile *profile, const struct profile_slots *slots,
@@ -199,7 +203,7 @@ struct instance {
     struct smooth smooth;
     struct ring ring;
     /* what follows from the state */
-    bool outputs_known, derivatives_known, rates_known;
+    bool cubics_known, values_known, outputs_known, derivatives_known, rates_known;
     double *outputs, *derivatives, *rates;
     /* work: rates of the stages, points, values of inputs and theta */
     double *k, *y, *point, *v, *slopes, *theta, *cubics, *old_x, *seeds, *tangents;
@@ -255,6 +259,7 @@ bool values_now(struct instance *instance, bool slopes, struct reason *why);
 bool computed_value(struct instance *instance, const struct variable *variable, double *value);
 bool computed_rates(struct instance *instance);
 void forget_computed(struct instance *instance);
+void forget_inputs(struct instance *instance);
 
 /* delay.c: the memory of a delay, in place of states. */
 bool ring_open(struct instance *instance, struct reason *why);

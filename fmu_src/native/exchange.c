@@ -10,7 +10,7 @@
 #include "block.h"
 
 /* The importer's time of an event may differ from it by rounding of this size. */
-#define TIME_ROUNDING 1e-12
+#define EVENT_ROUNDING 1e-12
 
 static fmi2Status count_is_wrong(const struct instance *in, const char *function, size_t given,
                                  int count)
@@ -37,7 +37,7 @@ fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *info)
     if (PROFILES == 0) return fmi2OK;
     double t = in->state[TIME];
     bool found = theta_at(in, t, &why);
-    if (found && in->smooth.end - t <= TIME_ROUNDING * greater(1.0, fabs(t))) {
+    if (found && in->smooth.end - t <= EVENT_ROUNDING * greater(1.0, fabs(t))) {
         t = in->smooth.end;
         found = theta_at(in, t, &why);
     }

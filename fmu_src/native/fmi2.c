@@ -41,7 +41,7 @@ static void set_defaults(struct instance *in)
         if (VARIABLES[vr].role == CONSTANT) in->constants[VARIABLES[vr].index] = VARIABLES[vr].start;
     in->settled = false;
     in->smooth.known = false;
-    forget_computed(in);
+    forget_inputs(in);
     settle(in);
 }
 
@@ -81,7 +81,7 @@ static size_t share_out(struct instance *in, char *memory)
     TAKE(in->v, double, INPUTS);
     TAKE(in->slopes, double, INPUTS);
     TAKE(in->theta, double, 2 * signals() + 1);
-    TAKE(in->smooth.values, double, PROFILES);
+    TAKE(in->smooth.values, double, REMEMBERED * PROFILES);
     TAKE(in->cubics, double, 4 * INPUTS);
     TAKE(in->seeds, double, STATES + 2 * INPUTS + 2 * signals() + 1);
     TAKE(in->tangents, double, STATES + OUTPUTS + DERIVATIVES);
@@ -344,7 +344,7 @@ static void set_input(struct instance *in, int slot, double value)
 static void inputs_were_set(struct instance *in)
 {
     in->state[SINCE] = 0.0;
-    forget_computed(in);
+    forget_inputs(in);
 }
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference vr[], size_t count,
@@ -585,6 +585,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no_se
     if (!advance(in, t, h, &why)) {
         memcpy(in->x, in->old_x, size);
         in->state[INNER_STEP] = old_step;
+        forget_computed(in);
         report(in, fmi2Discard, "the step from t = %.9g by %.9g is discarded: %s", t, h, why.text);
         return fmi2Discard;
     }
@@ -651,6 +652,13 @@ fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
     return fmi2OK;
 }
 
+static bool are_same_files(const char *a, const char *b)
+{
+    for (int j = 0; j < PROFILES; j++)
+        if (strcmp(a + j * FILE_SIZE, b + j * FILE_SIZE) != 0) return false;
+    return true;
+}
+
 fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
 {
     struct instance *in = c;
@@ -663,9 +671,9 @@ fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
     constants = given + (in->constants - in->state);
     bool same = in->settled
                 && memcmp(constants, in->constants, (size_t)CONSTANTS * sizeof(double)) == 0
-                && memcmp(files_of(given), in->files, files_size()) == 0;
+                && are_same_files(files_of(given), in->files);
     memcpy(in->state, given, state_size());
-    forget_computed(in);
+    forget_inputs(in);
     if (!same) {
         /* Binding sets x to the start values, so the state is copied once more. Parameters that
            were refused before are refused again when they are needed. */

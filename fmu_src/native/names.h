@@ -94,6 +94,7 @@
 #define computed_value OWN(computed_value)
 #define computed_rates OWN(computed_rates)
 #define forget_computed OWN(forget_computed)
+#define forget_inputs OWN(forget_inputs)
 #define advance OWN(advance)
 #define serialized_size OWN(serialized_size)
 #define serialize OWN(serialize)

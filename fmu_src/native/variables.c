@@ -1,12 +1,20 @@
 /* Values of variables: inputs over a step, theta, and what follows from the states. */
 
 #include <math.h>
+#include <string.h>
 
 #include "block.h"
 
+/* To be called whenever time, the states, an input or a parameter changes. */
 void forget_computed(struct instance *in)
 {
-    in->outputs_known = in->derivatives_known = in->rates_known = false;
+    in->values_known = in->outputs_known = in->derivatives_known = in->rates_known = false;
+}
+
+void forget_inputs(struct instance *in)
+{
+    in->cubics_known = false;
+    forget_computed(in);
 }
 
 /* Find the smooth piece of all profiles at t. */
@@ -15,7 +23,7 @@ bool theta_at(struct instance *in, double t, struct reason *why)
     struct smooth *smooth = &in->smooth;
     if (smooth->known && smooth->start <= t && t < smooth->end) return true;
     smooth->known = false;
-    smooth->at = NAN;
+    for (int k = 0; k < REMEMBERED; k++) smooth->times[k] = NAN;
     smooth->start = -INFINITY;
     smooth->end = INFINITY;
     for (int j = 0; j < PROFILES; j++) {
@@ -28,16 +36,29 @@ bool theta_at(struct instance *in, double t, struct reason *why)
     return true;
 }
 
+/* The place of a time: its bits times 2^64 over the golden ratio, of which the first ones depend on
+   all of them (D. E. Knuth, The Art of Computer Programming, vol. 3, section 6.4). */
+static int place_of(double t)
+{
+    uint64_t bits;
+    memcpy(&bits, &t, sizeof bits);
+    return (int)((bits * UINT64_C(0x9E3779B97F4A7C15)) >> 32) & (REMEMBERED - 1);
+}
+
 /* theta(t), or the signals and time, on the piece last found. */
 void theta_values(struct instance *in, double t)
 {
-    const double *dtheta = in->inputs + 4 * INPUTS;
-    struct smooth *smooth = &in->smooth;
-    if (t != smooth->at)
-        for (int j = 0; j < PROFILES; j++) smooth->values[j] = profile_value(in->profiles + j, t);
-    smooth->at = t;
-    for (int j = 0; j < PROFILES; j++)
-        in->theta[j] = TIMED ? smooth->values[j] : smooth->values[j] + dtheta[j];
+    if (PROFILES) {
+        const double *dtheta = in->inputs + 4 * INPUTS;
+        struct smooth *smooth = &in->smooth;
+        int place = place_of(t);
+        double *values = smooth->values + place * PROFILES;
+        if (t != smooth->times[place])
+            for (int j = 0; j < PROFILES; j++) values[j] = profile_value(in->profiles + j, t);
+        smooth->times[place] = t;
+        for (int j = 0; j < PROFILES; j++)
+            in->theta[j] = TIMED ? values[j] : values[j] + dtheta[j];
+    }
     if (TIMED) in->theta[PROFILES] = t;
 }
 
@@ -45,6 +66,8 @@ void theta_values(struct instance *in, double t)
 void input_cubics(struct instance *in)
 {
     const double *v = in->inputs;
+    if (in->cubics_known) return;
+    in->cubics_known = true;
     for (int i = 0; i < INPUTS; i++) {
         double *c = in->cubics + 4 * i;
         c[0] = v[i];
@@ -57,16 +80,14 @@ void input_cubics(struct instance *in)
 /* Whether all values of a role are finite; those that are not are reported. */
 static bool are_finite(struct instance *in, enum role role, const double *values, int count)
 {
-    bool finite = true;
-    double total = 0.0;
-    for (int i = 0; i < count; i++) total += values[i] - values[i];
-    if (total == 0.0) return true;
+    int faults = 0;
+    for (int i = 0; i < count; i++) faults |= !isfinite(values[i]);
+    if (!faults) return true;
     for (int vr = 0; vr < VARIABLE_COUNT; vr++) {
         const struct variable *variable = VARIABLES + vr;
         if (variable->role != role || variable->index >= count
             || isfinite(values[variable->index]))
             continue;
-        finite = false;
         report(in, fmi2Error,
                "%s left the range of floating-point numbers at t = %.9g; %s", variable->name,
                in->state[TIME],
@@ -75,7 +96,7 @@ static bool are_finite(struct instance *in, enum role role, const double *values
                    : "the loop diverges: take a smaller communication step, or less extreme "
                      "parameters and inputs");
     }
-    return finite;
+    return false;
 }
 
 /* theta, the inputs and, on demand, slopes of both at the instance's time: what the equations take.
@@ -83,6 +104,8 @@ static bool are_finite(struct instance *in, enum role role, const double *values
 bool values_now(struct instance *in, bool slopes, struct reason *why)
 {
     double t = in->state[TIME], s = in->state[SINCE];
+    /* Equations without time take no slopes of signals. */
+    if (in->values_known && !(slopes && (TIMED || DELAYED))) return true;
     if (PROFILES) {
         if (!theta_at(in, exchanges(in) ? in->state[EVENT_TIME] : t, why)) return false;
         theta_values(in, t);
@@ -97,7 +120,7 @@ bool values_now(struct instance *in, bool slopes, struct reason *why)
         in->slopes[i] =
             s == 0.0 ? in->inputs[INPUTS + i] : c[1] + s * (2.0 * c[2] + s * 3.0 * c[3]);
     }
-    return true;
+    return in->values_known = true;
 }
 
 static bool evaluate(struct instance *in, enum role role)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
+import signal
 import subprocess
 import sys
 import threading
@@ -17,7 +19,7 @@ from congelation.results.results import open_results
 from congelation.sweep.local import Local
 from tests.cosim.c_fmus import SOURCES, plain_fmu
 from tests.scenarios import FMUS, ROOT, SCALAR, write
-from tests.studies import COMMAND, children, environment, process
+from tests.studies import COMMAND, children, environment, process, start
 from tests.studies import command as congelation
 from tests.studies import last_line as one_line
 
@@ -205,7 +207,7 @@ coupling = "derivative"
 def test_steps_that_collapse_are_told_while_the_run_goes_on(tmp_path: Path, form: str) -> None:
     file = tmp_path / "slow.toml"
     file.write_text(SLOW.format(fmu=plain_fmu(tmp_path)))
-    ended = process("run", file, "--out", tmp_path / "out", "--timeout", "8", "--progress", form)
+    ended = process("run", file, "--out", tmp_path / "out", "--timeout", "5", "--progress", form)
     assert ended.returncode == 1, ended.stderr
     assert "Traceback" not in ended.stderr
     said = [line for line in ended.stderr.splitlines() if "the steps are" in line]
@@ -223,9 +225,12 @@ def test_steps_that_collapse_are_told_while_the_run_goes_on(tmp_path: Path, form
     )
     (row,) = open_results(tmp_path / "out").runs.rows()
     assert row["status"] == "TIMED_OUT"
-    # max_steps ends it as well, before anything has to be said.
+
+
+def test_a_run_that_max_steps_ends_has_nothing_to_tell_before(tmp_path: Path) -> None:
+    file = tmp_path / "slow.toml"
     file.write_text(SLOW.format(fmu=plain_fmu(tmp_path)) + "max_steps = 500\n")
-    ended = process("run", file, "--out", tmp_path / "few", "--progress", form)
+    ended = congelation("run", file, "--out", tmp_path / "few", "--progress", "json")
     (row,) = open_results(tmp_path / "few").runs.rows()
     assert row["status"] == "TOO_MANY_STEPS"
     assert "the steps are" not in ended.stderr
@@ -270,6 +275,7 @@ values = [2.0, 3.0, 4.0]
 """
 
 
+@pytest.mark.workers
 @pytest.mark.parametrize(
     ("fault", "said"),
     [
@@ -344,3 +350,24 @@ def test_what_is_only_described_is_not_loaded(tmp_path: Path) -> None:
         assert not mark.exists(), arguments
     assert congelation("run", file, "--out", tmp_path / "out").returncode == 0
     assert mark.exists()
+
+
+def test_a_closed_stdout_is_no_error(tmp_path: Path) -> None:
+    """Whoever started the command may have closed it, as `>&-` does."""
+    line = f"exec {shlex.join(map(str, COMMAND))} examples {tmp_path} >&-"
+    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, env=environment())
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_scheduler_ends_a_run_like_ctrl_c(tmp_path: Path, number: signal.Signals) -> None:
+    long = write(tmp_path, SCALAR, ("stop_time = 1.0", "stop_time = 1e6"))
+    run = start("run", long, "--out", tmp_path / "out", "--progress", "json")
+    assert run.stdout is not None
+    assert run.stderr is not None
+    run.stderr.readline()  # it is under way
+    os.kill(run.pid, number)
+    _, errors = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert "Traceback" not in errors
+    assert errors.splitlines()[-1] == "congelation: interrupted after 0 of 2 runs"

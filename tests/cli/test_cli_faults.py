@@ -13,7 +13,7 @@ from tests.scenarios import write
 from tests.studies import environment, process
 from tests.studies import rows as stored
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.workers]
 
 FAULTS = {
     0: ("COMPLETED", None),

@@ -74,7 +74,7 @@ def test_certify_refuses_a_broken_assumption(congelation, tmp_path):
         "controller.start.delta: 0.5 is less than 1, the radius of the box that theta(t) fills; "
         "give delta = 1, or narrow the profile\n"
     )
-    assert "assumption" in done.stdout
+    assert done.stdout == ""
 
 
 def test_certify_names_an_unstable_zero(congelation, tmp_path):
@@ -101,7 +101,7 @@ def test_certify_has_no_certificate_for_frozen_estimates(congelation, tmp_path):
     assert done.returncode == 1
     (line,) = done.stderr.splitlines()
     assert "no certificate is claimed for this adaptation law: frozen estimates" in line
-    assert "no certificate" in done.stdout
+    assert done.stdout == ""
 
 
 def test_certify_warns_of_what_is_left_out(congelation, tmp_path):

@@ -18,7 +18,7 @@ from tests.scenarios import SCALAR, write
 from tests.studies import children, command, is_alive, process, start, until
 from tests.studies import rows as stored
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.workers]
 
 POINTS = 12
 LONG = ("stop_time = 1.0", "stop_time = 15.0")  # a run takes a few tenths of a second
@@ -80,14 +80,6 @@ def test_a_sweep_has_one_row_per_run(reference: list[dict[str, Any]]) -> None:
     assert len(set(pairs)) == 2 * POINTS
 
 
-def test_two_workers_give_the_same_rows(
-    file: Path, tmp_path: Path, reference: list[dict[str, Any]]
-) -> None:
-    assert sweep(file, tmp_path / "out", "--workers", "2").returncode == 0
-    assert rows(tmp_path / "out") == reference
-    assert not list((tmp_path / "out" / "trajectories").iterdir())
-
-
 def test_a_killed_worker_costs_nothing(
     running: subprocess.Popen[str], tmp_path: Path, reference: list[dict[str, Any]]
 ) -> None:
@@ -96,6 +88,7 @@ def test_a_killed_worker_costs_nothing(
     assert running.returncode == 0, errors
     assert "0 failed" in errors
     assert rows(tmp_path / "out") == reference
+    assert not list((tmp_path / "out" / "trajectories").iterdir())
 
 
 def test_a_killed_parent_takes_its_workers_along_and_is_resumed(

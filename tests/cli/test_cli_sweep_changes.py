@@ -31,7 +31,7 @@ def test_a_changed_scenario_adds_its_runs_and_keeps_the_others(tmp_path: Path) -
     assert done.returncode == 0, done.stderr
     first, second, *_ = done.stdout.splitlines()
     assert first == f"4 runs, 4 of them to do in {out}"
-    assert second == "4 other runs are of another study or an earlier state of the scenario"
+    assert second == "another study or an earlier state of the scenario has 4 other runs"
     new = Results(out, Store(out).newest()).runs
     assert new["set.experiment.step"].tolist() == [0.01, 0.01, 0.02, 0.02]
     assert "set.controller.epsilon" not in new.columns
@@ -104,6 +104,7 @@ def test_failures_are_counted_and_none_that_begins_is_bad_input(tmp_path: Path) 
     assert line.startswith(f"congelation: {file}: Controller 1: step 1e-18 is too small")
 
 
+@pytest.mark.workers
 def test_a_timeout_beyond_all_clocks_is_none(tmp_path: Path) -> None:
     file = write(tmp_path, SCALAR + EPSILON.replace("[sweep]", "[sweep]\ntimeout = 1e300"))
     done = sweep(file, tmp_path / "out", "--progress", "quiet")

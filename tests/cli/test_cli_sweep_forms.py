@@ -67,6 +67,7 @@ def test_an_axis_of_one_variant_leaves_the_other_a_run(tmp_path: Path) -> None:
     assert "none up to gamma" not in page
 
 
+@pytest.mark.workers
 def test_progress_as_lines_of_json_or_none(tmp_path: Path) -> None:
     file = write(tmp_path, SCALAR + SWEEP)
     done = sweep(file, tmp_path / "json", "--progress", "json")
@@ -124,6 +125,7 @@ def test_a_pilot_that_hangs_is_ended(tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.workers
 def test_a_pilot_that_takes_too_long_is_ended(tmp_path: Path) -> None:
     text = SCALAR + TINY.replace("[sweep]", "[sweep]\ntimeout = 0.3")
     file = write(tmp_path, text, ("stop_time = 1.0", "stop_time = 1e6"))
@@ -133,6 +135,7 @@ def test_a_pilot_that_takes_too_long_is_ended(tmp_path: Path) -> None:
     assert last.startswith("no estimate: a pilot run failed: The run took longer than 0.3 s")
 
 
+@pytest.mark.workers
 def test_a_long_run_is_ended_between_its_steps(tmp_path: Path) -> None:
     text = SCALAR + TINY.replace("[sweep]", "[sweep]\ntimeout = {value = 300, unit = 'ms'}")
     file = write(tmp_path, text, ("stop_time = 1.0", "stop_time = 1e5"))

@@ -15,7 +15,7 @@ from tests.scenarios import SCALAR, write
 from tests.studies import children, environment, install, process, start, until
 from tests.studies import last_line as one_line
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.workers]
 
 # Of each variant one run is done at once, and one hangs in its metric while a file exists.
 UNEVEN = """

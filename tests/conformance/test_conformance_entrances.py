@@ -175,8 +175,8 @@ def test_findings_go_to_a_file_while_the_bar_is_on_the_terminal(
     os.close(terminal)
     assert code == 0
     scope, dynamic, counts = (tmp_path / "findings").read_text().splitlines()
-    assert "static rules only: the others were not asked for" in scope
-    assert "rules not evaluated: the others were not asked for" in dynamic
+    assert "static rules only: dynamic rules were not asked for" in scope
+    assert "rules not evaluated: dynamic rules were not asked for" in dynamic
     assert "0 violation" in counts
 
 

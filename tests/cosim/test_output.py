@@ -6,7 +6,16 @@ import numpy as np
 import pyarrow.parquet
 import pytest
 
-from congelation.cosim import Component, Memory, Output, ParquetFile, Status, System, simulate
+from congelation.cosim import (
+    Component,
+    Memory,
+    Output,
+    ParquetFile,
+    Status,
+    System,
+    simulate,
+    sinks,
+)
 from congelation.cosim.sinks import BLOCK_ROWS
 from congelation.errors import InvalidInput
 
@@ -175,12 +184,14 @@ def test_a_broken_off_run_leaves_a_part(loop, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_long_run_to_disk_needs_no_more_memory_than_a_short_one(fmus, tmp_path):
+def test_a_long_run_to_disk_needs_no_more_memory_than_a_short_one(fmus, tmp_path, monkeypatch):
     import tracemalloc
 
+    rows = BLOCK_ROWS // 4
+    monkeypatch.setattr(sinks, "BLOCK_ROWS", rows)
     system = System((Component("g", fmus / "TestGain.fmu"),))
     peaks = []
-    for steps in (2 * BLOCK_ROWS, 8 * BLOCK_ROWS):
+    for steps in (2 * rows, 8 * rows):
         tracemalloc.start()
         simulate(
             system,

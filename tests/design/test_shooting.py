@@ -9,7 +9,7 @@ import pytest
 from congelation.design.attack_problem import Problem, problem_of
 from congelation.design.shooting import Cells, Shooting
 from congelation.scenario.load import load_scenario
-from congelation.theory.closed_loop import Compiled, Segment
+from congelation.theory.closed_loop import Compiled, SmoothPiece
 from tests.scenarios import ROOT
 
 
@@ -25,7 +25,7 @@ def test_solution_is_that_of_another_integrator(problem: Problem) -> None:
     shooting = Shooting(problem.loop, problem.signal("plant.x"), rtol=1e-9, atol=1e-11)
     path = shooting.solve(problem.start, CELLS)
     segments = [
-        Segment(a, b, lambda t, theta=theta: theta)
+        SmoothPiece(a, b, lambda t, theta=theta: theta)
         for a, b, theta in zip(CELLS.edges[:-1], CELLS.edges[1:], CELLS.theta, strict=True)
     ]
     exact = problem.loop.solve(segments, problem.start, path.time, rtol=1e-11, atol=1e-13)

@@ -9,6 +9,7 @@ import subprocess
 import sys
 from importlib.metadata import files
 from pathlib import Path
+from typing import Any
 
 HOSTS = Path(__file__).parent / "hosts"
 COFMUPY = Path(__file__).parents[2] / ".venv-cofmupy" / "bin" / "python"
@@ -21,7 +22,7 @@ def run(
     *,
     python: Path | str = sys.executable,
     environment: dict[str, str] | None = None,
-) -> dict[str, list[float]]:
+) -> dict[str, Any]:
     """The rows that hosts/<host>.py makes of a job: by column, and the labels under ``time``."""
     folder.mkdir(parents=True, exist_ok=True)
     request, answer = folder / "job.json", folder / "rows.json"
@@ -36,7 +37,7 @@ def run(
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    rows: dict[str, list[float]] = json.loads(answer.read_text())
+    rows: dict[str, Any] = json.loads(answer.read_text())
     return rows
 
 

@@ -84,14 +84,11 @@ def test_the_command_of_ecos_needs_no_python(
 
 def test_cofmupy(loop: Loop, tmp_path: Path, bare: dict[str, str]) -> None:
     request = job(loop, 200, native=True)
-    found = run(
-        "cofmupy_loop",
-        {**request, "inputs": first_inputs(loop, request)},
-        tmp_path,
-        python=cofmupy(),
-        environment=bare,
+    jobs = {"native": {**request, "inputs": first_inputs(loop, request)}}
+    rows = run("cofmupy_loop", {"jobs": jobs}, tmp_path, python=cofmupy(), environment=bare)
+    assert (
+        deviation(rows["native"], reference(loop, 200), columns(loop, *NAMES), first_row=1) < 1e-9
     )
-    assert deviation(found, reference(loop, 200), columns(loop, *NAMES), first_row=1) < 1e-9
 
 
 def test_fmpy_archives(loop: Loop, tmp_path: Path, bare: dict[str, str]) -> None:

@@ -42,7 +42,12 @@ def survives(instance: Instance, parameters=(), inputs=(), h=0.01) -> None:
 def settable(instance: Instance, kind: str) -> list[str]:
     """The parameters of a type."""
     known = {*instance.inputs, *instance.outputs, "k[1]", "k[2]"}
-    return [n for n, t in instance.types.items() if t == kind and n not in known and n[0] != "P"]
+    found = [n for n, t in instance.types.items() if t == kind and n not in known and n[0] != "P"]
+    # Profiles are the same code in every plant: those of one are enough.
+    is_other = instance.slave.modelIdentifier.endswith("Plant") and "x[2]" in instance.outputs
+    if is_other and instance.slave.modelIdentifier != "MatchedPlant":
+        return [n for n in found if not n.startswith("profile[")]
+    return found
 
 
 def test_parameters(fmu):

@@ -17,7 +17,8 @@ from tests.scenarios import ROOT
 )
 
 
-pytestmark = pytest.mark.slow
+def test_ten_lines() -> None:
+    assert sum(bool(line) for line in LINES.splitlines()) == 10
 
 
 @pytest.fixture
@@ -28,6 +29,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("standard_input", [False, True])
 def test_lines_of_the_readme(folder: Path, standard_input: bool) -> None:
     (folder / "lines.py").write_text(LINES, "utf-8")
@@ -39,12 +41,18 @@ def test_lines_of_the_readme(folder: Path, standard_input: bool) -> None:
         text=True,
     )
     assert (done.returncode, done.stderr) == (0, "")
-    for name in ("Controller 1", "Controller 2"):
-        assert name in done.stdout
+    head, *rows = (line.split() for line in done.stdout.splitlines())
+    assert head[-2:] == ["controller.damping", "settling"]
+    assert [row[1:5] for row in rows] == [
+        ["Controller", "1", "COMPLETED", "True"],
+        ["Controller", "2", "COMPLETED", "False"],
+    ]
+    assert 0.0 < float(rows[0][-1]) < float(rows[1][-1]) < 10.0  # Controller 1 settles earlier
     assert (folder / "results/f16/f16.png").read_bytes().startswith(b"\x89PNG")
     assert (folder / "results" / "f16" / "runs.parquet").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # of the notebook's own libraries
 def test_lines_of_the_readme_in_a_notebook(folder: Path) -> None:
     nbformat = pytest.importorskip("nbformat")

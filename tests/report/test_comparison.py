@@ -74,7 +74,7 @@ def test_runs_are_matched_by_variant_and_settings() -> None:
     )
     said = " ".join(verdict(found))
     assert "b against a: 2 runs can be compared; 2 have no counterpart" in said
-    assert "most peak_x of Controller 1, plant.omega = 1: 2 before, 3 now (+50 %)." in said
+    assert "most of all peak_x of Controller 1, plant.omega = 1: 2 before, 3 now (+50 %)." in said
 
 
 def test_a_setting_that_variants_differ_in_may_change() -> None:
@@ -157,9 +157,9 @@ def test_the_page_has_both_and_what_changed(tmp_path: Path) -> None:
     page = Page()
     page.feed((tmp_path / "page.html").read_text("utf-8"))
     for text in (
-        "new against old: all 2 runs have a counterpart.",
+        "new against old: each of the 2 runs has a counterpart.",
         "Controller 1 settled in 1 of 1 runs before, and settles in 0 now.",
-        "1 of 4 metrics differ, most settling_x of Controller 1: 2.5 before, never now.",
+        "1 of 4 metrics differ, most of all settling_x of Controller 1: 2.5 before, never now.",
         "Controller 1, old",
         "Controller 1, new",
         "Controller 1: settling_x [s]",

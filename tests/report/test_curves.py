@@ -42,6 +42,27 @@ def test_what_all_variants_share_is_one_curve_and_numbers_are_of_all_points() ->
     assert len(first.time) <= 2002
 
 
+def test_a_signal_that_variants_share_is_one_curve_on_whatever_rows() -> None:
+    """Of the run with most rows, unless another one went further."""
+    fine, coarse = trajectory(1.0), trajectory(1.0)
+    coarse = replace(coarse, time=coarse.time[::7], values=coarse.values[::7])
+    column = "plant.theta[1]"
+
+    def drawn(*runs: Trajectory) -> list[tuple[int, int]]:
+        panels = {p.title: p for p in curve_panels([*enumerate(runs)])}
+        return [(curve.variant, len(curve.time)) for curve in panels["plant.theta"].curves]
+
+    def marked(run: Trajectory, what: object) -> Trajectory:
+        return replace(run, signals={column: what})
+
+    separate = drawn(coarse, fine)
+    assert [variant for variant, _ in separate] == [0, 1]
+    assert drawn(marked(coarse, "a"), marked(fine, "b")) == separate
+    assert drawn(marked(coarse, "a"), marked(fine, "a")) == [(EVERY, separate[1][1])]
+    stopped = replace(fine, time=fine.time[:-500], values=fine.values[:-500])
+    assert drawn(marked(coarse, "a"), marked(stopped, "a")) == [(EVERY, separate[0][1])]
+
+
 def test_a_variable_without_finite_values_is_no_error() -> None:
     run = Trajectory(np.array([0.0, 1.0]), ("plant.x",), np.full((2, 1), np.nan), {})
     (panel,) = curve_panels([(0, run)])

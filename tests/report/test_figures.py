@@ -9,6 +9,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+import congelation as cg
 from congelation.errors import InvalidInput
 from congelation.results.print_figures import draw_panels, save
 from congelation.results.record import Trajectory
@@ -48,6 +49,23 @@ def test_colours_are_elements_and_styles_are_variants(figure: Figure) -> None:
 
 def test_what_all_variants_share_is_drawn_once(figure: Figure) -> None:
     assert len(figure.axes[2].get_lines()) == 1
+
+
+def test_theta_of_variants_with_steps_of_their_own_is_drawn_once(tmp_path: Path) -> None:
+    """Unless a variant changes its profile."""
+    loop = cg.load_scenario("scenarios/scalar.toml").system
+    experiment = cg.Experiment(stop_time=1.0, tolerance=1e-4)
+    first, second = (cg.Variant(f"{k}", {"controller.damping": k == 1}) for k in (1, 2))
+    other = cg.Variant("other", {"plant.profile[1].mean": 0.5})
+    scenario = cg.Scenario("steps", loop, experiment, (first, second, other))
+    results = cg.run(scenario, out=tmp_path)
+    rows = [len(results.trajectory(run.run_id).time) for run in results.runs]
+    assert rows[0] != rows[1]
+    panels = {axes.get_ylabel().partition(" ")[0]: axes for axes in results.plot().axes}
+    assert len(panels["$x$"].get_lines()) == 3
+    theta = panels[r"$\theta_{1}$"].get_lines()
+    assert [len(line.get_xdata()) for line in theta] == [max(rows[:2]), rows[2]]
+    assert [line.get_linestyle() for line in theta] == ["-", "--"]
 
 
 def test_scales_follow_the_ranges(figure: Figure) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from congelation.errors import CongelationError, InvalidInput
 from congelation.report.run_page import write_html
-from congelation.report.verdict import study_verdict
+from congelation.report.study_verdict import study_verdict
 from congelation.results.results import Results
 from tests.report.stored import stored, stored_failures, stored_study
 
@@ -76,7 +76,7 @@ def test_the_verdict_and_the_price_come_first(tmp_path: Path) -> None:
     head = found.text[: found.text.index("Trajectories")]
     assert "Controller 1 settles after 2.5 s; Controller 2 does not settle." in head
     # u = gain exp(-t), gains 1000 and 1; no metric measures it.
-    assert "Controller 1 pays 1000 times the peak of |u| of Controller 2." in head
+    assert "Controller 1 pays with a peak of |u| that is 1000 times that of Controller 2." in head
 
 
 def test_failures_and_deviations_are_told(tmp_path: Path) -> None:

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from congelation.report.verdict import axes_of, run_verdict, short_names, study_verdict
+from congelation.report.axes import axes_of, short_names
+from congelation.report.study_verdict import study_verdict
+from congelation.report.verdict import run_verdict
 from congelation.results.record import RunRecord, Study
 from congelation.scenario.load import load_scenario
 from congelation.sweep.plan import plan_study
@@ -38,8 +40,64 @@ def test_a_price_that_is_none_is_not_told() -> None:
     runs = variants({"A": (1.0, 10.0), "B": (2.0, 10.01), "C": (math.inf, 30.0)})
     assert list(run_verdict(study(runs), {})) == [
         "A settles after 1 s and B after 2 s; C does not settle.",
-        "C pays 3 times the peak of |u| of A.",
+        "C pays with a peak of |u| that is 3 times that of A.",
     ]
+
+
+def test_peaks_that_are_alike_are_said_to_be_so() -> None:
+    said = list(run_verdict(study(variants({"A": (1.0, 10.0), "B": (2.0, 10.01)})), {}))
+    assert said[1:] == ["Their peaks of |u| differ by less than 5 %."]
+
+
+def swept(outcomes: Mapping[str, Sequence[tuple[float, float]]]) -> Study:
+    """Each variant's settling times and peaks of |u| at omega = 1, 10, 100 rad/s."""
+    runs = [
+        record(
+            f"{name}{k}",
+            k,
+            variant=name,
+            settings={OMEGA: 10.0**k},
+            metrics={"settling_x": time, "peak_u": peak},
+        )
+        for name, found in outcomes.items()
+        for k, (time, peak) in enumerate(found)
+    ]
+    return study(runs, varied=[OMEGA], axes=[[OMEGA]], units={OMEGA: "rad/s"})
+
+
+def test_a_study_tells_what_is_dear_what_is_cheap_and_what_costs_the_same() -> None:
+    peaks = {"A": 10.0, "dear": 30.0, "like": 10.2, "cheap": 5.0}
+    found = swept({name: [(1.0, peak)] * 3 for name, peak in peaks.items()})
+    assert list(study_verdict(found))[1:] == [
+        "A needs only a peak of |u| that is 0.333 times that of dear.",
+        "The peak of |u| of A is within 5 % of that of like.",
+        "A pays with a peak of |u| that is 2 times that of cheap.",
+    ]
+
+
+def test_settling_that_follows_the_axis_is_told_by_its_ends() -> None:
+    """That of A grows, that of B falls, that of C does neither, that of D hardly changes."""
+    times = {
+        "A": (1.0, 2.0, 4.0),
+        "B": (9.0, 3.0, 3.01),
+        "C": (2.0, 9.0, 3.0),
+        "D": (1.0, 1.1, 1.2),
+    }
+    found = swept({name: [(time, 1.0) for time in of] for name, of in times.items()})
+    assert list(study_verdict(found))[:4] == [
+        "A settles in all 3 runs, after 1 s at omega = 1 rad/s and after 4 s at 100 rad/s.",
+        "B settles in all 3 runs, after 9 s at omega = 1 rad/s and after 3.01 s at 100 rad/s.",
+        "C settles in all 3 runs, after 3 s (median; 2 to 9 s).",
+        "D settles in all 3 runs, after 1.1 s (median; 1 to 1.2 s).",
+    ]
+
+
+def test_of_many_variants_the_first_and_the_last_to_settle_are_named() -> None:
+    times = {f"V{k}": [(float(k), 1.0)] * 3 for k in range(1, 6)}
+    times["never"] = [(math.inf, 1.0)] * 3
+    assert list(study_verdict(swept(times)))[2] == (
+        "The median settling time is least for V1 (1 s) and largest for V5 (5 s)."
+    )
 
 
 def test_many_variants_are_told_by_their_extremes() -> None:
@@ -47,7 +105,7 @@ def test_many_variants_are_told_by_their_extremes() -> None:
     outcomes |= {"W": (math.inf, 5.0), "X": (math.inf, 5.0)}
     assert list(run_verdict(study(variants(outcomes)), {})) == [
         "6 variants settle, from V1 after 1 s to V6 after 6 s; W and X do not settle.",
-        "6 variants pay, from V1 2 times to V6 12 times the peak of |u| of W.",
+        "6 variants pay with a larger peak of |u| than W: from 2 times (V1) to 12 times (V6).",
     ]
 
 
@@ -94,7 +152,14 @@ def test_the_plan_tells_the_axes_and_their_units(tmp_path: Path) -> None:
 
 
 def test_names_are_as_short_as_they_can_be() -> None:
-    omegas = ("plant.sine[1].omega", "plant.sine[2].omega", "controller.c")
-    assert short_names(omegas) == dict(
-        zip(omegas, ("sine[1].omega", "sine[2].omega", "c"), strict=True)
-    )
+    """The number of a term stays where there are several, that of an element always."""
+    names = {
+        "plant.profile[1].sine[1].omega": "sine[1].omega",
+        "plant.profile[1].sine[2].omega": "sine[2].omega",
+        "plant.profile[1].sine[1].amplitude": "sine.amplitude",
+        "plant.profile[1].square[1].amplitude": "square.amplitude",
+        "plant.profile[1].mean": "profile[1].mean",
+        "plant.profile[2].mean": "profile[2].mean",
+        "controller.c[1]": "c[1]",
+    }
+    assert short_names(names) == names

@@ -194,7 +194,7 @@ def test_applying_settings_checks_nothing_again(monkeypatch: pytest.MonkeyPatch)
     [
         ({"stop_time": 1.0, "step": 0.1, "coupling": "jakobi"}, "did you mean 'jacobi'"),
         ({"stop_time": "1", "step": 0.1}, "stop_time = '1' is not valid; give a number"),
-        ({"stop_time": 1.0, "tolerance": True}, "tolerance = True is not valid; give a number"),
+        ({"stop_time": 1.0, "tolerance": True}, "tolerance = true is not valid; give a number"),
     ],
 )
 def test_an_experiment_that_cannot_be_is_refused(values: dict[str, Any], message: str) -> None:

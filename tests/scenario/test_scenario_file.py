@@ -306,7 +306,7 @@ MISTAKES = {
     ),
     "unknown start value": ("k_bar", "k_baar", "did you mean 'k_bar'?"),
     "start value of a wrong type": ("k_bar = 0.5", "k_bar = true", "a number needed"),
-    "start value of a wrong shape": ("[1.0]", "[1.0, 2.0]", "shape 2 given, 1 needed"),
+    "start value of a wrong shape": ("[1.0]", "[1.0, 2.0]", "2 values given, 1 value needed"),
     "start value of another unit": (
         "k_bar = 0.5",
         'k_bar = {value = 0.5, unit = "m"}',
@@ -324,7 +324,7 @@ MISTAKES = {
         "[{constant = -3.0},",
         "[{chirp = {amplitude = 1, omega_start = 1, omega_end = 2, duration = 1}}, "
         "{chirp = {amplitude = 1, omega_start = 1, omega_end = 2, duration = 1}},",
-        "components.plant.profile.theta[1]: 2 terms chirp: at most 1 fit",
+        "components.plant.profile.theta[1]: terms chirp: 2 given, at most 1 fit",
     ),
     "profile given twice": (
         "{x0 = [1.0]}",
@@ -432,7 +432,7 @@ MISTAKES = {
     "infinite step": (
         "step = 0.01",
         'step = {value = 1e308, unit = "h"}',
-        "experiment.step = {'value': 1e+308, 'unit': 'h'} is not valid; give a time that is",
+        "experiment.step = {value = 1e+308, unit = 'h'} is not valid; give a time that is",
     ),
     "option with a unit that is no time": (
         "step = 0.01",

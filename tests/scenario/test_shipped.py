@@ -78,6 +78,7 @@ def reduced(file: Path, stop_time: float) -> str:
             metric["after"] = 0.5 * stop_time
     data["variants"] = data.get("variants", [])[:2]
     sweep = data.get("sweep", {})
+    sweep.pop("timeout", None)  # in seconds of a worker process, which these need not have
     if "samples" in sweep:
         sweep["samples"] = 2
     for axis in sweep.get("axes", ()):

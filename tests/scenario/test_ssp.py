@@ -586,6 +586,28 @@ def test_the_commands(tmp_path: Path) -> None:
     assert line.startswith("congelation: absent.ssp: no such file")
 
 
+def test_native_fmus_take_the_place_of_those_of_the_scenario(tmp_path: Path) -> None:
+    write(tmp_path)
+    done = congelation("export-ssp", "loop.toml", "native.ssp", "--native", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    entries = contents(tmp_path / "native.ssp")
+    for name in ("ScalarPlant.fmu", "ScalarController.fmu"):
+        assert entries[f"resources/{name}"] == (FMUS / "native" / name).read_bytes()
+    # Those are taken as they are, where the scenario names them itself.
+    write_ssp(read_ssp(tmp_path / "native.ssp"), tmp_path / "again.ssp")
+    assert (
+        contents(tmp_path / "again.ssp")["resources/ScalarPlant.fmu"]
+        == (FMUS / "native" / "ScalarPlant.fmu").read_bytes()
+    )
+
+
+def test_a_native_fmu_that_is_not_there_is_named(archive: Path) -> None:
+    with pytest.raises(
+        InvalidInput, match=r"component 'plant': no native FMU at .*native/ScalarPlant\.fmu; build"
+    ):
+        write_ssp(read_ssp(archive), archive.with_name("native.ssp"), native=True)
+
+
 @pytest.mark.parametrize("name", ["the plant", "plant.of.mine", "plant\t1"])
 def test_an_element_may_have_blanks_and_dots_in_its_name(archive: Path, name: str) -> None:
     shown = name.replace("\t", "&#9;")

@@ -126,12 +126,20 @@ def test_from_flat_errors(flat, message):
 @pytest.mark.parametrize(
     ("signal", "slots", "message"),
     [
-        (profile(*[Sine(1.0, k) for k in range(3)]), Slots(), "3 terms sine: at most 2 fit"),
-        (profile(Telegraph(1.0, 1.0, 1)), Slots(telegraphs=0), "1 terms telegraph: at most 0"),
-        (profile(Chirp(1.0, 1.0, 2.0, 1.0)), Slots(chirps=0), "1 terms chirp: at most 0 fit"),
-        (profile(Square(1.0, 1.0)), Slots(squares=0), "1 terms square: at most 0 fit"),
+        (profile(*[Sine(1.0, k) for k in range(3)]), Slots(), "terms sine: 3 given, at most 2 fit"),
+        (
+            profile(Telegraph(1.0, 1.0, 1)),
+            Slots(telegraphs=0),
+            "terms telegraph: 1 given, at most 0",
+        ),
+        (
+            profile(Chirp(1.0, 1.0, 2.0, 1.0)),
+            Slots(chirps=0),
+            "terms chirp: 1 given, at most 0 fit",
+        ),
+        (profile(Square(1.0, 1.0)), Slots(squares=0), "terms square: 1 given, at most 0 fit"),
         (profile(Table([0.0], [1.0])), Slots(), "table.times: give the rows in a CSV file"),
-        (profile(Table([0.0], [1.0])), Slots(table=False), "1 terms table: at most 0 fit"),
+        (profile(Table([0.0], [1.0])), Slots(table=False), "terms table: 1 given, at most 0 fit"),
     ],
 )
 def test_to_flat_errors(signal, slots, message):

@@ -76,7 +76,7 @@ def test_spec_round_trip_of_a_file(tmp_path):
     [
         ("x", "theta = 'x': must be a finite number or a list of terms, such as [{constant"),
         (math.nan, "theta = nan: must be a finite number or a list of terms"),
-        (True, "theta = True: must be a finite number or a list of terms"),
+        (True, "theta = true: must be a finite number or a list of terms"),
         ([1.0], "theta[1] = 1.0: must be one term, such as {constant = -3.0}; terms: constant"),
         ([{}], "theta[1] = {}: must be one term"),
         ([{"constant": 1, "sine": {}}], "theta[1] = {'constant': 1, 'sine': {}}: must be one term"),
@@ -94,7 +94,7 @@ def test_spec_round_trip_of_a_file(tmp_path):
         ([{"sine": {"amplitude": 1}}], "theta[1].sine.omega: missing; angular frequency"),
         (
             [{"sine": {"amplitude": True, "omega": 1}}],
-            "theta[1].sine.amplitude = True: must be a finite number",
+            "theta[1].sine.amplitude = true: must be a finite number",
         ),
         (
             [{"square": {"amplitude": 1, "period": 0}}],
@@ -159,7 +159,7 @@ def test_errors_name_the_path_the_value_and_what_is_valid(spec, message):
     [
         (lambda: Sine(math.nan, 1.0), "sine.amplitude = nan: must be a finite number"),
         (lambda: Square(1.0, 0.0), "square.period = 0.0: must be a finite number above 0"),
-        (lambda: Telegraph(1.0, 1.0, True), "telegraph.seed = True: must be an integer"),
+        (lambda: Telegraph(1.0, 1.0, True), "telegraph.seed = true: must be an integer"),
         (lambda: Constant("1"), "constant.value = '1': must be a finite number"),
         (lambda: Profile((1.0,)), "1.0: must be one of constant, sine, square"),
     ],

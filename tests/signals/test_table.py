@@ -113,7 +113,7 @@ def test_unreadable_files(tmp_path):
         ((3.0, [1.0]), "table.times = 3.0: must be a list of at least one number"),
         (([0.0], [math.nan]), "table.values[1] = nan: must be a finite number"),
         (([0.0, "a"], [1.0, 2.0]), "table.times[2] = 'a': must be a finite number"),
-        (([0.0, 1.0], [1.0]), "table: 2 times but 1 values; one value per time"),
+        (([0.0, 1.0], [1.0]), "table: times has 2 entries, values 1; give one value per time"),
         (([1.0, 0.5], [1.0, 2.0]), "table.times[2]: time 0.5 does not come after 1.0"),
         (([0.0], [1.0], 1), "table.linear = 1: must be true or false"),
     ],

@@ -29,6 +29,7 @@ def rows_of(results: Results) -> list[dict[str, Any]]:
     return list(results.runs.rows())
 
 
+@pytest.mark.workers
 def test_rows_and_trajectories(tmp_path: Path) -> None:
     store = run(tmp_path)
     rows = rows_of(store)
@@ -175,6 +176,7 @@ def test_a_scenario_without_variants_has_one_run(tmp_path: Path) -> None:
     assert [record.variant for record in store.runs] == ["loop"]
 
 
+@pytest.mark.workers
 def test_an_fmu_that_fails_is_a_row_and_the_rest_goes_on(tmp_path: Path) -> None:
     store = run(tmp_path, ('{"controller.damping" = true}', '{"controller.epsilon" = -1.0}'))
     failed, good = rows_of(store)
@@ -206,6 +208,7 @@ def test_a_diverging_run_keeps_what_was_recorded(tmp_path: Path) -> None:
         assert np.all(np.isfinite(trajectory.values))
 
 
+@pytest.mark.workers
 def test_progress_is_reported_up_to_the_end(tmp_path: Path) -> None:
     seen: list[Tally] = []
     file = write(tmp_path, SCALAR, ("stop_time = 1.0", "stop_time = 15.0"))

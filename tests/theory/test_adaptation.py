@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from congelation.theory.adaptation import claim_of, robust
-from congelation.theory.closed_loop import Segment, close
+from congelation.theory.closed_loop import SmoothPiece, close
 from congelation.theory.lyapunov import output_feedback_certificate, state_feedback_certificate
 from congelation.theory.matching import matched_controller
 from congelation.theory.model import matrix, vector
@@ -262,7 +262,7 @@ def telegraph_loop(controller, parameters, plant=None):
     loop = close(plant or strict_feedback_plant(), controller, parameters)
     signs = np.sign(np.random.default_rng(0).normal(size=20))
     segments = [
-        Segment(0.5 * k, 0.5 * (k + 1), lambda t, s=s: [-3 + s, 2 + math.cos(20 * t)])
+        SmoothPiece(0.5 * k, 0.5 * (k + 1), lambda t, s=s: [-3 + s, 2 + math.cos(20 * t)])
         for k, s in enumerate(signs)
     ]
     start = loop.start({"x": [2, -1]})
@@ -310,7 +310,7 @@ def test_fixed_leakage_bounds_and_forgets_the_estimate():
     ends = {}
     for sigma in (0.0, 0.5):
         loop = close(scalar_plant(), scalar_controller(robust), parameters | {"sigma": sigma})
-        segment = Segment(0, 20, lambda t: [-1 + math.sin(5 * t)])
+        segment = SmoothPiece(0, 20, lambda t: [-1 + math.sin(5 * t)])
         solution = loop.solve([segment], loop.start({"x": [3.0]}), [0, 10, 20])
         ends[sigma] = solution.states[:, 1]
     assert ends[0.0][2] == pytest.approx(ends[0.0][1], rel=1e-6)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from congelation.theory.certificate import PerturbationSet
-from congelation.theory.closed_loop import Segment, close
+from congelation.theory.closed_loop import SmoothPiece, close
 from congelation.theory.iss_riccati import iss_riccati, iss_weight
 from congelation.theory.lyapunov import output_feedback_certificate, state_feedback_certificate
 from congelation.theory.observer_form import observer_form_plant
@@ -58,7 +58,7 @@ def test_rate_at_the_worst_delta_is_the_rate_of_V_along_the_loop():
     margin = certificate.at(X, ell)
     theta, h = ell + margin.Delta, 1e-6
     solution = certificate.loop.solve(
-        [Segment(0, 2 * h, lambda t: theta)], X, [0, h, 2 * h], rtol=1e-13, atol=1e-15
+        [SmoothPiece(0, 2 * h, lambda t: theta)], X, [0, h, 2 * h], rtol=1e-13, atol=1e-15
     )
     V = [certificate.at(state, ell).V for state in solution.states]
     assert (-3 * V[0] + 4 * V[1] - V[2]) / (2 * h) == pytest.approx(margin.rate, rel=1e-5)
@@ -84,7 +84,7 @@ def test_V_falls_along_a_run_with_jumps():
     certificate = state_feedback()
     ell = np.array([-3.0, 2.0])
     segments = [
-        Segment(0.1 * k, 0.1 * (k + 1), lambda t, s=(-1) ** k: [-3 + s, 2 + math.sin(50 * t)])
+        SmoothPiece(0.1 * k, 0.1 * (k + 1), lambda t, s=(-1) ** k: [-3 + s, 2 + math.sin(50 * t)])
         for k in range(20)
     ]
     loop = certificate.loop

@@ -7,7 +7,7 @@ import pytest
 
 from congelation.errors import InvalidInput
 from congelation.theory.adaptation import robust
-from congelation.theory.closed_loop import Segment, close
+from congelation.theory.closed_loop import SmoothPiece, close
 from congelation.theory.matching import matched_controller
 from congelation.theory.observer_form import observer_form_plant
 from congelation.theory.output_feedback import output_feedback_controller
@@ -23,7 +23,7 @@ def variations(end, constants=()):
 
     def piece(k):
         sign = 1 if k % 2 == 0 else -1
-        return Segment(
+        return SmoothPiece(
             k * HALF_PERIOD,
             min((k + 1) * HALF_PERIOD, end),
             lambda t: [
@@ -91,7 +91,7 @@ def test_output_feedback_regulates_for_other_orders(n, m):
     parameters = {"delta": 0.6, "delta_1": 0.6, "sign_b_m": 1}
     loop = close(observer_form_plant(n, m), output_feedback_controller(n, m), parameters)
     center = np.array([-0.5, 0.3, 0.2][:n])
-    segment = Segment(
+    segment = SmoothPiece(
         0, 60, lambda t: [*zeros, *(center + 0.3 * np.sin(np.array([9.0, 5.0, 14.0][:n]) * t))]
     )
     solution = loop.solve(
@@ -109,7 +109,7 @@ def test_names_and_start_values():
     assert loop.start({"theta_hat": [3, 4]}).tolist() == [1, 0, 3, 4]
     with pytest.raises(InvalidInput, match="no state is called 'y'"):
         loop.start({"y": [1]})
-    with pytest.raises(InvalidInput, match="x has 3 elements"):
+    with pytest.raises(InvalidInput, match="is not valid; give 2 numbers"):
         loop.start({"x": [1, 2, 3]})
 
 
@@ -151,7 +151,7 @@ def test_a_run_that_blows_up_is_reported():
     """Frozen at 0, without damping, the estimates leave the plant open-loop unstable."""
     controller = state_feedback_controller(adaptation=robust)
     loop = close(strict_feedback_plant(), controller, {"damping": 0, "adapt": 0})
-    segment = Segment(0, 500, lambda t: [-30.0, 2.0])
+    segment = SmoothPiece(0, 500, lambda t: [-30.0, 2.0])
     solution = loop.solve([segment], loop.start({"x": [2, -1]}), np.linspace(0, 500, 101))
     assert not solution.success
     assert "step size" in solution.message
@@ -161,8 +161,8 @@ def test_a_run_that_blows_up_is_reported():
 
 
 def test_refusals():
-    with pytest.raises(InvalidInput, match="MatchedController wants 'x' of 2 elements"):
+    with pytest.raises(InvalidInput, match="MatchedController wants 2 numbers of 'x'"):
         close(scalar_plant(), matched_controller())
-    loop, segment = figure_2(1, end=0.1)[0], Segment(0, 1, lambda t: [0, 0])
+    loop, segment = figure_2(1, end=0.1)[0], SmoothPiece(0, 1, lambda t: [0, 0])
     with pytest.raises(InvalidInput, match="within the segments, 0 to 1"):
         loop.solve([segment], loop.start(), [0, 2])

@@ -271,7 +271,7 @@ def test_filters_that_are_refused():
         iss_filter_gain(5.0, -1.0, n=2)
     with pytest.raises(InvalidInput, match="r = nan"):
         iss_filter_gain(math.nan, 1.0, n=2)
-    with pytest.raises(InvalidInput, match="shape"):
+    with pytest.raises(InvalidInput, match="give 3 rows of 3 numbers"):
         smallest_feasible_r(3, np.eye(2))
 
 

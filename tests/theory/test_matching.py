@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from congelation.errors import InfeasibleDesign, InvalidInput
-from congelation.theory.closed_loop import Segment, close
+from congelation.theory.closed_loop import SmoothPiece, close
 from congelation.theory.gains import matched_riccati
 from congelation.theory.lyapunov import matched_certificate
 from congelation.theory.matching import matched_controller, matched_plant
@@ -56,7 +56,7 @@ def test_law_and_plant_element_by_element():
 
 def test_converges_under_fast_variation():
     loop = close(matched_plant(), matched_controller(), {"delta": 2.0})
-    segment = Segment(0, 20, lambda t: [1 + np.sin(30 * t), -1 + np.cos(17 * t)])
+    segment = SmoothPiece(0, 20, lambda t: [1 + np.sin(30 * t), -1 + np.cos(17 * t)])
     solution = loop.solve([segment], loop.start({"x": [2, -1]}), [0.0, 20.0])
     assert solution.success
     assert np.abs(solution.states[-1, :2]).max() < 1e-4

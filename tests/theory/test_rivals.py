@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from congelation.theory.adaptation import robust
-from congelation.theory.closed_loop import Segment, close
+from congelation.theory.closed_loop import SmoothPiece, close
 from congelation.theory.filtered_transformation import filtered_transformation_controller
 from congelation.theory.lyapunov import matched_certificate
 from congelation.theory.matching import matched_controller, matched_plant
@@ -22,7 +22,7 @@ def test_the_filtered_transformation_regulates(n, m, sign):
     given = {"lam": [2.0] * (n - m - 1)} if n - m > 1 else {}
     loop = close(observer_form_plant(n, m), controller, {"sign_b_m": sign, **given})
     center = np.array([-0.5, 0.3, 0.2][:n])
-    segment = Segment(
+    segment = SmoothPiece(
         0, 40, lambda t: [*b, *(center + 0.3 * np.sin(np.array([9.0, 5.0, 14.0][:n]) * t))]
     )
     start = loop.start({"x": [1.0, -0.5, 0.2][:n]})

@@ -26,7 +26,7 @@ def test_a_given_gain_takes_the_place_of_its_rule():
     ("given", "message"),
     [
         ({"epsilom": 1}, r"no parameter 'epsilom'.*did you mean 'epsilon'\?"),
-        ({"c": [1, 2, 3]}, "c has 3 elements; valid: 2 x 1"),
+        ({"c": [1, 2, 3]}, r"c = \[1, 2, 3\] is not valid; give 2 numbers"),
         ({"c": [1, 0]}, "valid: positive"),
         ({"delta": -1}, "valid: non-negative"),
         ({"damping": 0.5}, "valid: true or false"),

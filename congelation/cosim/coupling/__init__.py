@@ -30,7 +30,7 @@ from congelation.cosim.coupling.derivative import Derivative
 from congelation.cosim.coupling.held import GaussSeidel, Jacobi, Sampled
 from congelation.cosim.coupling.hermite import Hermite
 from congelation.cosim.coupling.model_exchange import ModelExchange
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, nearest, shown
 
 __all__ = [
     "COUPLINGS",
@@ -45,6 +45,7 @@ __all__ = [
     "Sampled",
     "Stepper",
     "Trial",
+    "check_options",
     "make_coupling",
     "refuse_tolerance",
 ]
@@ -77,7 +78,7 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
         if option not in known:
             hint = nearest(option, known) if known else "it takes no options"
             raise InvalidInput(f"coupling '{name}': no option '{option}'; {hint}")
-        _check_type(f"coupling '{name}': {option} = {value!r}", value, types[option])
+        _check_type(f"coupling '{name}': {option} = {shown(value)}", value, types[option])
     for field in fields:
         if field.default is dataclasses.MISSING and field.name not in given:
             raise InvalidInput(f"coupling '{name}' needs the option '{field.name}'")
@@ -85,6 +86,20 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
         return kind(**given)
     except InvalidInput as error:
         raise InvalidInput(f"coupling '{name}': {error}") from error
+
+
+def check_options(coupling: Coupling | Auto) -> None:
+    """Refuse a coupling whose options are of other types than theirs.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    types = _types(type(coupling))  # type: ignore[arg-type]  # a union of classes is hashable
+    for field in dataclasses.fields(coupling):  # type: ignore[arg-type]  # all are dataclasses
+        value = getattr(coupling, field.name)
+        what = f"coupling '{coupling.name}': {field.name} = {shown(value)}"
+        _check_type(what, value, types[field.name])
 
 
 @cache

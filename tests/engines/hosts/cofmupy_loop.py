@@ -1,4 +1,4 @@
-"""CoFmuPy runs a job: hosts/cofmupy_loop.py JOB.json ROWS.json."""
+"""CoFmuPy runs jobs, one after the other: hosts/cofmupy_loop.py JOBS.json ROWS.json."""
 
 import json
 import sys
@@ -52,16 +52,20 @@ def start(job):
     return coordinator
 
 
-def main(request, answer):
-    with open(request) as file:
-        job = json.load(file)
+def rows(job):
     coordinator = start(job)
     for _ in range(job["steps"]):
         coordinator.do_step(job["step"])
     results = coordinator.get_results()
-    rows = {".".join(column): results[tuple(column)] for column in job["record"]}
+    found = {".".join(column): results[tuple(column)] for column in job["record"]}
+    return {"time": results["time"], **found}
+
+
+def main(request, answer):
+    with open(request) as file:
+        jobs = json.load(file)["jobs"]
     with open(answer, "w") as file:
-        json.dump({"time": results["time"], **rows}, file)
+        json.dump({name: rows(job) for name, job in jobs.items()}, file)
 
 
 main(*sys.argv[1:])
