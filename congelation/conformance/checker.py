@@ -81,6 +81,7 @@ class Checker:
             self._unzip()
 
     def __enter__(self) -> Checker:
+        self._children.open()
         return self
 
     def __exit__(
@@ -89,6 +90,7 @@ class Checker:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
+        self._children.close()
         self._temporary.cleanup()
 
     def stop(self) -> None:

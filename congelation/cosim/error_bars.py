@@ -197,10 +197,11 @@ def _judged(
         return Trust.unknown(f"the second run: {second.message}", second.status.name)
     names = [item.name for item in recorded]
     peaks = np.maximum(np.abs(values).max(axis=0), np.nanmax(np.abs(finer), axis=0))
-    difference = np.abs(values - finer)
+    signed = values - finer
     # Where an FMU ended the second run earlier, the last difference is the best that is known.
-    missing = np.isnan(difference[:, :1]).all(axis=1)
-    difference[missing] = difference[~missing][-1]
+    missing = np.isnan(signed[:, :1]).all(axis=1)
+    signed[missing] = signed[~missing][-1]
+    difference = np.abs(signed)
     strange = np.flatnonzero(difference[0] > UNREPEATED * peaks)
     if strange.size:
         k = int(strange[0])
@@ -228,7 +229,11 @@ def _judged(
     ):
         begun = time <= again.points[: STARTING + 1][-1]
         powers[begun] = np.minimum(powers[begun], 1.0)
-    found = bands(time, difference, powers, peaks) * (JITTER if switches else 1.0)
+    if switches:
+        found = bands(time, difference, powers, peaks) * JITTER
+    else:
+        whole = statistics.parts == 1 and np.array_equal(time, again.points)
+        found = bands(time, signed, powers, peaks, every_step=whole)
     found = np.maximum(found, floor)
     # What is not resolved stays so: in chaos, a small difference later on is chance.
     lost = np.logical_or.accumulate(found > ROUGH * peaks)
