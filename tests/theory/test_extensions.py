@@ -101,6 +101,8 @@ def random_loop(seed, n, p, options, adaptation=gradient, **parameters):
 def test_the_claim_holds(n, p, options):
     for seed, parameters in enumerate(({}, {"sigma": 0.4})):
         law = robust if parameters else gradient
+        if options.varying_gain:
+            parameters = parameters | {"sign_b": (1.0, -1.0)[seed]}
         loop = random_loop(10 * n + seed, n, p, options, law, **parameters)
         finding = state_feedback_certificate(loop).search(150, ascents=2, seed=seed)
         assert not finding.violated, (finding.margin, finding.state)
