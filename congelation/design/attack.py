@@ -11,10 +11,9 @@ from __future__ import annotations
 import math
 import pathlib
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from numbers import Real
 
 from congelation.design.attack_problem import Problem, problem_of
@@ -30,6 +29,7 @@ from congelation.design.finds import (
 )
 from congelation.design.late_strike import SETTLED, strikes
 from congelation.design.search import Search
+from congelation.design.search_pool import SearchPool
 from congelation.design.shooting import Cells, Path, Shooting
 from congelation.errors import InvalidInput, nearest, require, require_all, require_count
 from congelation.scenario.load import load_scenario
@@ -112,7 +112,7 @@ def attack(
         for k, job in enumerate(jobs):
             outcomes[k] = _do(job, partial(show, job.variant, job.objective.name))
     else:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        with SearchPool(workers) as pool:
             futures = {pool.submit(_do, job): k for k, job in enumerate(jobs)}
             for future in as_completed(futures):
                 k = futures[future]

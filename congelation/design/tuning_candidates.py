@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from functools import cached_property, partial
-from multiprocessing import get_context
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from congelation.cosim.result import Status
 from congelation.design.attack_problem import held
+from congelation.design.search_pool import SearchPool
 from congelation.design.shooting import Cells, Shooting
 from congelation.errors import InvalidInput, counted
 from congelation.export.spec import Spec, read_spec
@@ -219,19 +219,21 @@ class Candidates:
         self._store = None if folder is None else self._opened(Store(folder), resume)
         self._pool = None
         if workers > 1:
-            self._pool = ProcessPoolExecutor(
-                workers,
-                get_context("spawn"),
-                _open_bench,
-                (evaluator.file, evaluator.below, evaluator.stop),
+            self._pool = SearchPool(
+                workers, _open_bench, (evaluator.file, evaluator.below, evaluator.stop)
             )
 
     def __enter__(self) -> Candidates:
         return self
 
-    def __exit__(self, *error: object) -> None:
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
         if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
+            self._pool.__exit__(kind, error, trace)
         if self._store is not None:
             self._store.close()
             if self._store.count():

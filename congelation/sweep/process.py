@@ -25,7 +25,16 @@ from congelation.places import StoreError
 from congelation.results.record import Outcome
 from congelation.sweep.execute import Job, Task
 
-__all__ = ["PLACE", "SINCE", "TERMINATES", "WorkerProcess", "interrupts_held", "prepare", "work"]
+__all__ = [
+    "PLACE",
+    "SINCE",
+    "TERMINATES",
+    "WorkerProcess",
+    "interrupts_held",
+    "prepare",
+    "without_main",
+    "work",
+]
 
 REPORTED = 0.05
 """Seconds after which a process reports the runs that have ended, and the progress of one."""
@@ -58,7 +67,7 @@ class WorkerProcess(SpawnProcess):
         self.run_under_way = SpawnContext().RawArray("d", [-1.0, 0.0])
         receiver, self._sender = multiprocessing.Pipe(duplex=False)
         register, self._register = self._register, None  # it is not sent along
-        with _STARTING, interrupts_held(), _without_main(), _not_daemonic():
+        with _STARTING, interrupts_held(), without_main(), _not_daemonic():
             super().start()
         self._sender.close()
         if register is not None:
@@ -74,7 +83,7 @@ class WorkerProcess(SpawnProcess):
 
 
 @contextmanager
-def _without_main() -> Iterator[None]:
+def without_main() -> Iterator[None]:
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:
