@@ -95,7 +95,7 @@ def chosen(system: System, experiment: Experiment, pool: SlavePool | None = None
     steps = calls = 0
     with ExitStack() as stack:
         stack.callback(os.chdir, os.getcwd())  # an FMU may leave it
-        lender = pool if pool is not None else stack.enter_context(SlavePool())
+        lender = pool.trials if pool is not None else stack.enter_context(SlavePool())
         while True:
             found = without(resolved, lacks)
             stepped = _with_step(found, experiment)

@@ -1,8 +1,7 @@
 """The trial before a run: which coupling errs least, of those that the FMUs can take.
 
-It makes a few steps with instances of its own, which are freed before the run begins. Only where
-the caller lends instances from run to run, as studies do, are these tried, and reset as they are
-between any two runs.
+It makes a few steps with instances of its own, none of which is lent to the run: an FMU whose reset
+is incomplete would begin the run from what the trial has left.
 """
 
 from __future__ import annotations
