@@ -56,12 +56,14 @@ SLOW = (
     "scenario/test_shipped.py",
     "scenario/test_ssp.py",
     "sweep",
+    "theory/test_extensions.py",
     "theory/test_weakened.py",
+    "verify/test_certify.py",
     "verify/test_laws.py",
     "verify/test_measure.py",
 )
-"""Folders and files whose tests run processes, hosts, engines, all scenarios; `make test-fast`
-leaves them out."""
+"""Folders and files whose tests run processes, hosts, engines, all scenarios, or take some seconds
+of processor time in all; `make test-fast` leaves them out."""
 
 
 @cache
