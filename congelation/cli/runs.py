@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -156,7 +157,7 @@ def run(
                 if line is not None:
                     print(f"{record.variant}: {line}")
         print_figures(results)
-        print(results.store.index)
+        _say_where(results)
     complaints = [*_complaints(records)]
     for complaint in complaints:
         complain(complaint)
@@ -230,7 +231,7 @@ def sweep(
         print_json([record.row() for record in results.runs])
     else:
         print_summary(results)
-        print(results.store.index)
+        _say_where(results)
     if _complain_of_failures(results.runs):
         raise typer.Exit(FAILED)
 
@@ -299,6 +300,12 @@ def _positive(timeout: float | None) -> float | None:
     if timeout is not None and not timeout > 0.0:
         raise InvalidInput(f"--timeout {timeout:g}: give a positive number of seconds")
     return timeout
+
+
+def _say_where(results: Results) -> None:
+    """Print where the results are, and the command that shows them."""
+    print(results.store.index)
+    print(f"to look at them: congelation open {shlex.quote(str(results.folder))}")
 
 
 def _carried_out(plan: Plan, workers: Workers, form: Form) -> Results:
