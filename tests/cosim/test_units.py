@@ -48,10 +48,11 @@ def with_units(folder: Path, name: str, units: Mapping[str, str]) -> Path:
                 for variable, unit in units.items():
                     at = text.index(f'name="{variable}"')
                     head, tail = text[:at], text[at:]
-                    tail = re.sub(r'(<Real[^>]*?) unit="[^"]*"', r"\1", tail, count=1)
-                    if unit:
-                        tail = tail.replace("<Real", f'<Real unit="{unit}"', 1)
-                    text = head + tail
+                    begin = tail.index("<Real")
+                    end = tail.index(">", begin)
+                    real = re.sub(r' unit="[^"]*"', "", tail[begin:end])
+                    stated = f'<Real unit="{unit}"' if unit else "<Real"
+                    text = head + tail[:begin] + real.replace("<Real", stated) + tail[end:]
                 content = text.encode()
             new.writestr(entry, content)
     return target
@@ -59,10 +60,14 @@ def with_units(folder: Path, name: str, units: Mapping[str, str]) -> Path:
 
 def loop(folder: Path, output: str, input_: str, x0: float = 300.0, *back: Connection) -> System:
     """The scalar plant, its output and the controller's input in these units."""
+
+    def stated(unit: str) -> dict[str, str]:
+        return {"x": unit, "der(x)": unit and f"{unit}/s"}
+
     return System(
         (
-            Component("plant", with_units(folder, "ScalarPlant", {"x": output}), {"x0": x0}),
-            Component("controller", with_units(folder, "ScalarController", {"x": input_})),
+            Component("plant", with_units(folder, "ScalarPlant", stated(output)), {"x0": x0}),
+            Component("controller", with_units(folder, "ScalarController", stated(input_))),
         ),
         (Connection("plant.x", "controller.x"), *back),
     )
@@ -185,3 +190,25 @@ def test_display_units_are_known(tmp_path: Path) -> None:
     assert isinstance(found, Unit)
     assert found.factor * 212.0 + found.offset == pytest.approx(373.15)
     assert unit_named("degF").factor * 212.0 + unit_named("degF").offset == pytest.approx(373.15)
+
+
+@pytest.mark.parametrize(
+    ("rate", "fits"), [("K/s", True), ("", True), ("degC/s", True), ("mK/s", True), ("K/h", False)]
+)
+def test_a_derivative_in_another_unit_is_left_out(tmp_path: Path, rate: str, fits: bool) -> None:
+    """What no one defines, such as mK/s, is taken as it is."""
+    system = System(
+        (
+            Component("plant", with_units(tmp_path, "ScalarPlant", {"x": "degC", "der(x)": rate})),
+            Component("controller", with_units(tmp_path, "ScalarController", {"x": "degC"})),
+        ),
+        (Connection("plant.x", "controller.x"),),
+    )
+    resolved = system.resolve()
+    (link,) = resolved.links
+    assert (link.source_derivatives[0] is not None) is resolved.knows_derivative(link) is fits
+    if not fits:
+        assert link.doubt.startswith("'der(x)' is in 'K/h', which is not the unit of 'x' ('degC')")
+    record = ["plant.der(x)", "plant.x"]
+    result = simulate(system, stop_time=0.1, step=0.01, coupling="jacobi", record=record)
+    assert result.completed, result.message
