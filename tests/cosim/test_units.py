@@ -15,7 +15,7 @@ from fmpy.fmi2 import FMU2Slave
 from congelation.cosim.master import simulate
 from congelation.cosim.system import Component, Connection, System
 from congelation.errors import InvalidInput
-from congelation.fmi.description import describe
+from congelation.fmi.description import derivative_name, describe
 from congelation.fmi.units import Unit, conversion, unit_named
 from tests.scenarios import FMUS
 
@@ -46,7 +46,7 @@ def with_units(folder: Path, name: str, units: Mapping[str, str]) -> Path:
                     text = re.sub(rf'<Unit name="{unit}">.*?</Unit>', "", text, flags=re.S)
                 text = text.replace("<UnitDefinitions>", f"<UnitDefinitions>{DEFINITIONS}")
                 for variable, unit in units.items():
-                    at = text.index(f'name="{variable}"')
+                    at = text.index(f'<ScalarVariable name="{variable}"')
                     head, tail = text[:at], text[at:]
                     begin = tail.index("<Real")
                     end = tail.index(">", begin)
@@ -61,13 +61,16 @@ def with_units(folder: Path, name: str, units: Mapping[str, str]) -> Path:
 def loop(folder: Path, output: str, input_: str, x0: float = 300.0, *back: Connection) -> System:
     """The scalar plant, its output and the controller's input in these units."""
 
-    def stated(unit: str) -> dict[str, str]:
-        return {"x": unit, "der(x)": unit and f"{unit}/s"}
+    def stated(unit: str, *orders: int) -> dict[str, str]:
+        names = {derivative_name("x", order): unit and unit + order * "/s" for order in orders}
+        return {"x": unit, **names}
 
     return System(
         (
-            Component("plant", with_units(folder, "ScalarPlant", stated(output)), {"x0": x0}),
-            Component("controller", with_units(folder, "ScalarController", stated(input_))),
+            Component("plant", with_units(folder, "ScalarPlant", stated(output, 1)), {"x0": x0}),
+            Component(
+                "controller", with_units(folder, "ScalarController", stated(input_, 1, 2, 3))
+            ),
         ),
         (Connection("plant.x", "controller.x"), *back),
     )
