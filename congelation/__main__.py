@@ -20,12 +20,24 @@ def main() -> None:
     # Here: a sweep's worker processes import the main module anew, and need nothing of this.
     from congelation.cli import main as command
 
-    signal.signal(signal.SIGINT, before)
+    def ready() -> None:
+        signal.signal(signal.SIGINT, before)
+        for name in ("SIGTERM", "SIGHUP"):  # of batch systems, services, and closed terminals
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, _interrupt)
+
     try:
-        command()
+        command(ready=ready)
     finally:
         # The last search for garbage takes a quarter of a second, and frees what ends anyway.
         gc.freeze()
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Do as at Ctrl-C, also where that is held back for a moment, or ignored."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.raise_signal(signal.SIGINT)
 
 
 def _end(number: int, frame: FrameType | None) -> None:

@@ -111,6 +111,10 @@ class SlaveError(CongelationError):
         self.message = message
         self.call = call
 
+    def __reduce__(self) -> tuple[object, ...]:
+        # By its parts: an exception is otherwise made anew of its text alone.
+        return type(self), (self.component, self.time, self.message, self.call)
+
 
 def nearest(name: str, valid: Iterable[str]) -> str:
     """A clause naming the valid spelling nearest to `name`, or all of them where few exist."""

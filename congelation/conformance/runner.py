@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
+from congelation.arguments import checked
 from congelation.conformance.accepted import Accepted, read_known
 from congelation.conformance.checker import Checker
 from congelation.conformance.finding import FmuReport, Report, Verdict, merged
@@ -69,6 +70,7 @@ def _ended_as_interrupted() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+@checked
 def check(
     paths: Sequence[Path | str],
     *,

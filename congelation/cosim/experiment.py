@@ -6,8 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from numbers import Real
 
+import numpy as np
+
+from congelation.arguments import check_fields
 from congelation.cosim.coupling import (
     Auto,
     Coupling,
@@ -23,6 +25,7 @@ from congelation.errors import InvalidInput, shown
 
 __all__ = [
     "Experiment",
+    "refuse_too_many_rows",
     "require_abilities",
     "require_resolved_periods",
     "slave_tolerance",
@@ -35,8 +38,14 @@ SLAVE_SHARE = 0.1
 RESOLVED = 16.0
 """Shortest period that time resolves, in units in the last place of the time."""
 
+LATEST = 1e300
+"""Seconds that a time is less than; differences of such times are finite."""
+
 MOST_POINTS = 1e12
 """Largest number of points of one kind in a run: so many take months."""
+
+MOST_ROWS = 1e8
+"""Rows of a run: each takes 8 bytes a column."""
 
 GRID_ROUNDING = 1e-12
 """A horizon this near to a whole number of steps, relative, is taken to be one."""
@@ -48,9 +57,6 @@ written as decimal numbers."""
 
 GRID_SHARE = 1e-3
 """Largest part of a step that counts as rounding."""
-
-
-_NUMBERS = ("start_time", "stop_time", "step", "tolerance", "slave_tolerance", "output_interval")
 
 
 @dataclass(frozen=True)
@@ -114,17 +120,25 @@ class Experiment:
     max_steps: int | None = None
 
     def __post_init__(self) -> None:
-        for name in _NUMBERS:
-            value = getattr(self, name)
-            if value is not None and (isinstance(value, bool) or not isinstance(value, Real)):
-                raise InvalidInput(f"{name} = {shown(value)} is not valid; give a number")
-        start, stop = self.start_time, self.stop_time
-        if not (math.isfinite(stop - start) and stop > start):
-            raise InvalidInput(f"stop_time {stop:g} must be finite and after start_time {start:g}")
+        check_fields(self, "")
+        for name in ("start_time", "stop_time"):
+            time = getattr(self, name)
+            if isinstance(time, np.generic):
+                time = time.item()  # which can be compared with any number
+            if not -LATEST < time < LATEST:
+                raise InvalidInput(f"{name} {shown(getattr(self, name))} must be finite")
+        if not self.stop_time > self.start_time:
+            raise InvalidInput(
+                f"stop_time {self.stop_time:g} must be after start_time {self.start_time:g}"
+            )
         if self.step is None and self.tolerance is None:
             raise InvalidInput("give a communication step or a tolerance")
         if self.tolerance is not None and not 0.0 < self.tolerance < 1.0:
             raise InvalidInput(f"tolerance {self.tolerance:g} must lie between 0 and 1")
+        if self.slave_tolerance is not None and not 0.0 < self.slave_tolerance < math.inf:
+            raise InvalidInput(
+                f"slave_tolerance {self.slave_tolerance:g} must be positive and finite"
+            )
         if self.max_steps is not None and self.max_steps < 1:
             raise InvalidInput(f"max_steps {self.max_steps}: at least 1 is needed")
         if self.options and not isinstance(self.coupling, str):
@@ -198,6 +212,20 @@ def divides(start: float, stop: float, step: float) -> bool:
     return round(ratio) >= 1 and abs(ratio - round(ratio)) <= min(rounding, GRID_SHARE)
 
 
+def refuse_too_many_rows(name: str, interval: float, horizon: float) -> None:
+    """Refuse an output interval that makes more rows than a run can have.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if interval > 0.0 and horizon / interval > MOST_ROWS:
+        raise InvalidInput(
+            f"{name} = {interval:g} asks for {horizon / interval:.3g} "
+            f"rows of a run; give {horizon / MOST_ROWS:g} or more"
+        )
+
+
 def require_resolved_periods(experiment: Experiment, outputs: Sequence[Output]) -> None:
     """Refuse what would make more points than a run can have, or than times can tell apart.
 
@@ -207,7 +235,10 @@ def require_resolved_periods(experiment: Experiment, outputs: Sequence[Output]) 
     """
     start, stop = experiment.start_time, experiment.stop_time
     periods = [("step", experiment.step), *experiment.periods.items()]
-    periods += [("output interval", output.interval) for output in outputs]
+    for output in outputs:
+        if output.interval is not None:
+            refuse_too_many_rows("output interval", output.interval, stop - start)
+            periods.append(("output interval", output.interval))
     for name, period in periods:
         if period is None:
             continue

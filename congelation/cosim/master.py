@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from congelation.arguments import checked
 from congelation.cosim.choice import Lack, chosen, without
 from congelation.cosim.coupling import Auto, Coupling, ModelExchange
 from congelation.cosim.coupling.model_exchange import Smooth
@@ -36,6 +37,7 @@ from congelation.fmi.slave import Slave, SlaveTerminated
 __all__ = ["perform", "simulate"]
 
 
+@checked
 def simulate(
     system: System,
     *,

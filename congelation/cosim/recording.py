@@ -15,6 +15,7 @@ from itertools import takewhile
 import numpy as np
 import numpy.typing as npt
 
+from congelation.arguments import check_fields
 from congelation.cosim.coupling.polynomial import differentiation, interpolation, product
 from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.sinks import Recorder, Sink
@@ -80,6 +81,7 @@ class Output:
     sink: Sink | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         if self.every < 1:
             raise InvalidInput(f"every {self.every}: at least 1 is needed")
         if self.interval is not None and self.every != 1:

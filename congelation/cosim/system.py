@@ -11,6 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from congelation.arguments import check_fields
 from congelation.errors import InvalidInput, counted, nearest
 from congelation.fmi.description import Description, Variable, describe
 from congelation.fmi.start_values import StartValue, resolve_start
@@ -56,6 +57,9 @@ class Component:
     fmu: Path
     start: Mapping[str, object] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
 
 @dataclass(frozen=True)
 class Connection:
@@ -72,6 +76,9 @@ class Connection:
 
     source: str
     target: str
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     @classmethod
     def parse(cls, text: str) -> Connection:
@@ -211,6 +218,12 @@ class ResolvedSystem:
 class System:
     """Components and the connections between them.
 
+    Parameters
+    ----------
+    components : tuple of Component
+    connections : tuple of Connection
+        Or texts such as ``"plant.x -> controller.x"``.
+
     Examples
     --------
     >>> system = cg.System(
@@ -229,6 +242,12 @@ class System:
 
     components: tuple[Component, ...]
     connections: tuple[Connection, ...] = ()
+
+    def __post_init__(self) -> None:
+        if isinstance(self.connections, list | tuple):  # each of which may be a text
+            parsed = (Connection.parse(c) if isinstance(c, str) else c for c in self.connections)
+            object.__setattr__(self, "connections", tuple(parsed))
+        check_fields(self)
 
     def resolve(self) -> ResolvedSystem:
         """Find every name.

@@ -11,11 +11,11 @@ from __future__ import annotations
 import math
 import pathlib
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 
+from congelation.arguments import checked
 from congelation.design.attack_problem import Problem, problem_of
 from congelation.design.derivative_free import maximise
 from congelation.design.finds import (
@@ -34,6 +34,7 @@ from congelation.errors import InvalidInput, nearest
 from congelation.scenario.load import load_scenario
 from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import MetricSpec, Scenario
+from congelation.sweep.process import search_pool
 
 __all__ = ["OBJECTIVES", "attack"]
 
@@ -49,6 +50,7 @@ _GRADIENT = {"peak": True, "integral_of_square": False, "ise": False}
 """The metrics that the search has gradients of, and whether they are peaks."""
 
 
+@checked
 def attack(
     scenario: Scenario | pathlib.Path | str,
     *,
@@ -109,8 +111,10 @@ def attack(
         for k, job in enumerate(jobs):
             outcomes[k] = _do(job, partial(show, job.variant, job.objective.name))
     else:
-        with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-            futures = {pool.submit(_do, job): k for k, job in enumerate(jobs)}
+        with search_pool(workers) as pool:
+            futures: dict[Future[Find | str], int] = {
+                pool.schedule(_do, (job,)): k for k, job in enumerate(jobs)
+            }
             for future in as_completed(futures):
                 k = futures[future]
                 outcomes[k] = found = future.result()

@@ -27,6 +27,7 @@ import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
+from congelation.arguments import checked
 from congelation.design.tuning_candidates import OBJECTIVES, Candidates, Evaluator
 from congelation.errors import InvalidInput
 from congelation.export.assumptions import spec_assumptions
@@ -120,6 +121,7 @@ class Tuning:
         return tuple(lines)
 
 
+@checked
 def tune(
     spec: Path | str,
     *,
@@ -130,7 +132,7 @@ def tune(
     seed: int = 0,
     proposals: int = 6,
     workers: int = 1,
-    out: Path | None = None,
+    out: Path | str | None = None,
     resume: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Tuning:
@@ -179,7 +181,7 @@ def tune(
     # A design that does not settle is asked to do so by the stop time.
     asked = (min(own[0], stop_time), *own[1:])
     wanted = _wishes(wishes, asked)
-    with Candidates(evaluator, workers, out, resume) as candidates:
+    with Candidates(evaluator, workers, None if out is None else Path(out), resume) as candidates:
 
         def count() -> None:
             if progress is not None:

@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from functools import cached_property, partial
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,7 @@ from congelation.results.record import RunRecord
 from congelation.results.store import Store
 from congelation.scenario.metrics import METRICS
 from congelation.signals import Profile
+from congelation.sweep.process import search_pool
 from congelation.theory.closed_loop import ClosedLoop, SmoothPiece, close
 
 __all__ = ["OBJECTIVES", "Candidates", "Evaluator"]
@@ -217,25 +217,23 @@ class Candidates:
         }
         self._study = content_hash(self._key)
         self._store = None if folder is None else self._opened(Store(folder), resume)
+        self._processes = ExitStack()
         self._pool = None
         if workers > 1:
-            self._pool = ProcessPoolExecutor(
-                workers,
-                get_context("spawn"),
-                _open_bench,
-                (evaluator.file, evaluator.below, evaluator.stop),
-            )
+            opened = (evaluator.file, evaluator.below, evaluator.stop)
+            self._pool = self._processes.enter_context(search_pool(workers, _open_bench, opened))
 
     def __enter__(self) -> Candidates:
         return self
 
-    def __exit__(self, *error: object) -> None:
-        if self._pool is not None:
-            self._pool.shutdown(cancel_futures=True)
-        if self._store is not None:
-            self._store.close()
-            if self._store.count():
-                self._store.export()
+    def __exit__(self, *error: Any) -> None:
+        try:
+            self._processes.__exit__(*error)
+        finally:
+            if self._store is not None:
+                self._store.close()
+                if self._store.count():
+                    self._store.export()
 
     def solve(self, vectors: Sequence[Vector]) -> list[Vector | None]:
         """The objectives of candidates; the new ones are solved side by side and stored."""
@@ -245,7 +243,8 @@ class Candidates:
         if self._pool is None:
             found = (self.evaluator.solve(np.array(v)) for v in new)
         else:
-            found = self._pool.map(_solve_here, new)
+            futures = [self._pool.schedule(_solve_here, (v,)) for v in new]
+            found = (future.result() for future in futures)
         first = len(self._known)
         records = []
         for number, (vector, objectives) in enumerate(zip(new, found, strict=True), first):

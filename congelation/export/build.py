@@ -18,6 +18,7 @@ from xml.etree import ElementTree
 
 from pythonfmu.builder import FmuBuilder, get_model_description
 
+from congelation.arguments import checked
 from congelation.errors import CongelationError, DesignWarning, InvalidInput
 from congelation.export.assumptions import spec_warnings
 from congelation.export.embedded_c import controller_code
@@ -46,6 +47,7 @@ _IMPORT = re.compile(r"^from pythonfmu\.", re.MULTILINE)
 _TOOLS = ("congelation", "casadi", "pythonfmu", "fmpy")
 
 
+@checked
 def build(
     *specs: Spec | BlockSpec | Path | str,
     out: Path | str = "fmus",

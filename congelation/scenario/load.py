@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
+from congelation.arguments import checked
 from congelation.errors import InvalidInput
 from congelation.scenario.parts import EXPERIMENT, replaced
 from congelation.scenario.scenario import Scenario
@@ -15,6 +16,7 @@ from congelation.toml import read_document
 __all__ = ["load_scenario"]
 
 
+@checked
 def load_scenario(file: Path | str, experiment: Mapping[str, object] | None = None) -> Scenario:
     """Read a scenario: a TOML file, or an SSP archive (.ssp).
 

@@ -173,6 +173,8 @@ def _list(
 ) -> tuple[Settings, ...]:
     """One entry per value; with several names, each value holds one for each of them."""
     together = isinstance(section.data["set"], list)
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise section.error("set", f"names '{twice}' twice; leave one of them out")
     entries = []
     for index, value in enumerate(values, start=1):
         row = value if together else [value]
@@ -184,6 +186,8 @@ def _list(
         entries.append(
             reader.read(replace(section, path=at, data=dict(zip(names, row, strict=True))))
         )
+    if any(len(entry) < len(names) for entry in entries):
+        raise section.error("set", "names one variable in two ways; leave one of them out")
     if any(entry.keys() != entries[0].keys() for entry in entries):
         raise section.error("values", "do not all set the same variables")
     return tuple(entries)
@@ -203,7 +207,8 @@ def _spaced(section: Section, kind: str, numbers: tuple[float, ...]) -> list[flo
             raise section.wrong(kind, "[first, last, count] with positive ends")
         inner = np.geomspace(first, last, count)[1:-1]
     else:
-        inner = np.linspace(first, last, count)[1:-1]
+        with np.errstate(over="ignore", invalid="ignore"):  # it is refused where it is read
+            inner = np.linspace(first, last, count)[1:-1]
     return [first, *inner.tolist(), last]
 
 

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from congelation import keys
+from congelation.arguments import check_fields
 from congelation.cosim.system import System
 from congelation.errors import InvalidInput, counted, shown
 from congelation.scenario.axes import Sweep
@@ -110,6 +111,10 @@ class Scenario:
     warnings: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
+        check_fields(self)
+        names = [metric.name for metric in self.metrics]
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise InvalidInput(f"Scenario: metric '{twice}' is given twice; names must differ")
         lists = len(self.sweep.lists) if self.sweep is not None else 0
         spelled = partial(_python_place, lists=lists)
         self._fill(read_scenario(Section("Scenario", "", self.document(), spelled=spelled), "run"))

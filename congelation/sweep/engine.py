@@ -17,6 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+from congelation.arguments import checked
 from congelation.errors import DesignWarning, InvalidInput
 from congelation.places import StoreError
 from congelation.results.record import RunRecord
@@ -74,6 +75,7 @@ Listener = Callable[[Tally], None]
 """Called whenever some runs are done or have gone on."""
 
 
+@checked
 def run(
     scenario: Scenario | Path | str,
     *,
@@ -137,6 +139,7 @@ def run(
     return carry_out(plan, Local(workers), progress or notebook_progress())
 
 
+@checked
 def sweep(
     scenario: Scenario | Path | str,
     *,
@@ -217,6 +220,8 @@ def _warn(scenario: Scenario) -> None:
 def result_folder(scenario: Scenario, out: Path | str | None) -> Path:
     """Where results go."""
     if out is not None:
+        if not str(out):
+            raise InvalidInput("out = '' names no folder; give one, '.' being this one")
         return Path(out)
     if scenario.file is None:
         raise InvalidInput("a scenario without a file has no folder for its results; give out")
@@ -252,7 +257,7 @@ def carry_out(plan: Plan, workers: Workers, progress: Listener | None = None) ->
             plan.store.close()
     plan.store.export()
     if engine.refused and engine.refused[0] == plan.total:
-        raise InvalidInput(f"{plan.scenario.file}: {engine.refused[1]}")
+        raise InvalidInput(f"{plan.scenario.place}: {engine.refused[1]}")
     return Results(plan.store.root, plan.job.study)
 
 

@@ -28,12 +28,13 @@ from typing import Any, cast, final
 import psutil
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
-from congelation.errors import CongelationError
+from congelation.errors import CongelationError, InvalidInput
 from congelation.fmi.calls import noted_call
 from congelation.places import StoreError
 from congelation.results.record import Outcome
 from congelation.sweep.execute import ERROR, TIMED_OUT, WORKER_DIED, Job, Task, execute
 from congelation.sweep.process import (
+    NO_PROCESS,
     PLACE,
     SINCE,
     TERMINATES,
@@ -114,6 +115,10 @@ class Local(Workers):
     _pipes: dict[Connection, WorkerProcess] = field(default_factory=dict, init=False, repr=False)
     _failed_starts: int = field(default=0, init=False, repr=False)
 
+    def __post_init__(self) -> None:
+        if self.size < 1:
+            raise InvalidInput(f"workers = {self.size}: at least 1 is needed")
+
     def start(self, job: Job) -> None:
         context = SpawnContext()
         context.Process = partial(WorkerProcess, self._pipes.__setitem__)  # type: ignore[assignment,misc]
@@ -168,7 +173,11 @@ class Local(Workers):
             raise CongelationError(
                 "the worker processes end before they begin a run; what they wrote above says why"
             )
-        if self._batches and not self._pool.active:  # a process died in between two tasks
+        try:
+            active = self._pool.active
+        except BrokenProcessPool as error:
+            raise CongelationError(f"{NO_PROCESS}: {error.__cause__ or error}") from error
+        if self._batches and not active:  # a process died in between two tasks
             for number in list(self._batches):
                 found += map(Unfinished, self._dropped(number))
             self._failed_starts += 1

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -157,6 +158,8 @@ def plan_study(
     for status in retry:
         if status not in FAILURES:
             raise InvalidInput(f"'{status}' is no status to retry; valid: {', '.join(FAILURES)}")
+    if timeout is not None and not 0.0 < timeout < math.inf:
+        raise InvalidInput(f"timeout = {timeout:g}: give a positive number of seconds")
     if swept and scenario.sweep is None:
         raise InvalidInput(f"{scenario.place}: no [sweep]; give its axes, or use: congelation run")
     store = Store(folder)
@@ -172,6 +175,7 @@ def plan_study(
             for number, (variant, settings, _) in _Runs(scenario, swept).checked()
         ),
         retry if swept else None,
+        trajectories=_sweep(scenario).trajectories,
     )
     if found.total == 0:
         raise InvalidInput(f"{scenario.place}: sweep.constraints leave no point")

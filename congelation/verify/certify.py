@@ -17,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from congelation.arguments import checked
 from congelation.errors import InvalidInput, counted
 from congelation.export.assumptions import HORIZON, spec_assumptions, structured
 from congelation.export.spec import Spec, read_spec
@@ -172,6 +173,7 @@ def certificate_of(loop: ClosedLoop) -> Certificate:
     return _CERTIFICATES[name](loop)
 
 
+@checked
 def certify(
     what: Path | str | Spec | Scenario,
     *,

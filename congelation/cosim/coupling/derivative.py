@@ -69,6 +69,7 @@ class Derivative(Coupling):
     latches: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.sequence not in SEQUENCES:
             raise InvalidInput(f"sequence '{self.sequence}'; valid: {', '.join(SEQUENCES)}")
         if self.control not in CONTROLS:

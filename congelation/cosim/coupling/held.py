@@ -208,6 +208,7 @@ class Sampled(Coupling):
     latches: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if not (math.isfinite(self.sample_time) and self.sample_time > 0.0):
             raise InvalidInput(f"sample_time {self.sample_time:g} must be positive, in seconds")
         if self.delay not in DELAYS:

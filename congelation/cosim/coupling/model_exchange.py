@@ -64,6 +64,7 @@ class ModelExchange(Coupling):
     latches: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.method not in METHODS:
             raise InvalidInput(f"method '{self.method}'; valid: {', '.join(METHODS)}")
 

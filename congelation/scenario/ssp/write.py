@@ -19,6 +19,7 @@ from pathlib import Path
 
 from lxml import etree
 
+from congelation.arguments import checked
 from congelation.cosim.system import ResolvedSystem, System
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import Variable
@@ -43,9 +44,10 @@ _PARAMETER_SET = "initialValues"
 _SLAVE_TOLERANCE = 1e-8
 
 
+@checked
 def write_ssp(
     scenario: Scenario,
-    file: Path,
+    file: Path | str,
     variant: str | None = None,
     *,
     derivatives: bool = False,
@@ -89,6 +91,7 @@ def write_ssp(
     """
     if step is not None and not 0.0 < step < math.inf:
         raise InvalidInput(f"step {step:g} is not valid; give a positive time in seconds")
+    file = Path(file)
     if file.suffix != ".ssp":
         raise InvalidInput(f"{file}: the name of an SSP archive ends in .ssp")
     chosen = _variant(scenario, variant)
