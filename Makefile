@@ -109,7 +109,7 @@ format: .venv/installed
 	$(BIN)/ruff check --fix .
 
 # Error bars are counted; work and precision is timed: on a machine with nothing else to do.
-bench-coupling: .venv/installed
+bench-coupling: fmus
 	$(BIN)/python -m benchmarks.coupling
 
 bench: fmus .venv-cofmupy/installed

@@ -151,7 +151,11 @@ def __getattr__(name: str) -> object:
         module, _, attribute = _PLACES[name].partition(":")
         found = getattr(importlib.import_module(f"congelation.{module}"), attribute)
     else:
-        raise AttributeError(f"module 'congelation' has no public name '{name}'")
+        from congelation.errors import nearest
+
+        raise AttributeError(
+            f"module 'congelation' has no public name '{name}'; {nearest(name, __all__)}"
+        )
     globals()[name] = found
     return found
 

@@ -3,11 +3,13 @@
 import gc
 import os
 import signal
+import sys
 from types import FrameType
 
 __all__ = ["main"]
 
 _INTERRUPTED = 130
+_ENDING = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
 
 def main() -> None:
@@ -18,26 +20,19 @@ def main() -> None:
     if before is signal.default_int_handler:  # and not ignored, as in a shell's background
         signal.signal(signal.SIGINT, _end)
     # Here: a sweep's worker processes import the main module anew, and need nothing of this.
+    from congelation.cli import load
     from congelation.cli import main as command
 
-    def ready() -> None:
-        signal.signal(signal.SIGINT, before)
-        for name in ("SIGTERM", "SIGHUP"):  # of batch systems, services, and closed terminals
-            number = getattr(signal, name, None)
-            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
-                signal.signal(number, _interrupt)
-
+    load(sys.argv[1:])
+    signal.signal(signal.SIGINT, before)
+    for number in _ENDING:  # how schedulers and closed terminals end a job: like Ctrl-C
+        if signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, signal.default_int_handler)
     try:
-        command(ready=ready)
+        command()
     finally:
         # The last search for garbage takes a quarter of a second, and frees what ends anyway.
         gc.freeze()
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    """Do as at Ctrl-C, also where that is held back for a moment, or ignored."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    signal.raise_signal(signal.SIGINT)
 
 
 def _end(number: int, frame: FrameType | None) -> None:

@@ -27,6 +27,7 @@ __all__ = [
     "amount",
     "counted",
     "nearest",
+    "require_count",
     "shown",
 ]
 
@@ -102,6 +103,10 @@ class SlaveError(CongelationError):
     True
     """
 
+    def __reduce__(self) -> tuple[type[SlaveError], tuple[str, float, str, str]]:
+        """What makes it anew in another process: what it was made from, not its text."""
+        return type(self), (self.component, self.time, self.message, self.call)
+
     def __init__(self, component: str, time: float, message: str, call: str = "") -> None:
         # An FMU may begin with its own name, for tools that do not say whose message it is.
         own = message.removeprefix(f"{component}: ")
@@ -110,10 +115,6 @@ class SlaveError(CongelationError):
         self.time = time
         self.message = message
         self.call = call
-
-    def __reduce__(self) -> tuple[object, ...]:
-        # By its parts: an exception is otherwise made anew of its text alone.
-        return type(self), (self.component, self.time, self.message, self.call)
 
 
 def nearest(name: str, valid: Iterable[str]) -> str:
@@ -125,6 +126,17 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     if 0 < len(names) <= 12:
         return "valid: " + ", ".join(names)
     return f"none of the {len(names)} valid names is near"
+
+
+def require_count(value: int, name: str) -> None:
+    """Refuse a number below 1.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if value < 1:
+        raise InvalidInput(f"{name} = {value} is not valid; give a whole number of at least 1")
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:

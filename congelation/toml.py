@@ -261,8 +261,10 @@ class Section:
                 raise self.error(key, "is missing; give a string")
             return default
         value = self.data[key]
-        if not isinstance(value, str) or not value.strip():
+        if not isinstance(value, str):
             raise self.wrong(key, "a string")
+        if not value.strip():
+            raise self.wrong(key, "a string that is not empty")
         return value
 
     def texts(self, key: str) -> tuple[str, ...]:

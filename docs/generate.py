@@ -247,11 +247,19 @@ def fmu(path: Path) -> list[str]:
     for title, variables in groups:
         if not variables:
             continue
+        # Only columns that say something: on a phone there is room for few. Most are Real.
         rows = [
-            (f"`{v.name}`", v.type, v.unit, "" if v.start is None else v.start, v.description)
+            {
+                "name": f"`{v.name}`",
+                "unit": v.unit,
+                "start": "" if v.start is None else _start(v.start),
+                "what it is": v.description + (f" ({v.type})" if v.type != "Real" else ""),
+            }
             for v in variables
         ]
-        lines += [f"## {title}", "", *table(["name", "type", "unit", "start", "what it is"], rows)]
+        columns = [name for name in rows[0] if any(row[name] for row in rows)]
+        cells = [[row[name] for name in columns] for row in rows]
+        lines += [f"## {title}", "", *table(columns, cells)]
     if any(v.name.startswith("profile[") for v in model.parameters):
         lines += [
             "The parameters `profile[j].…` hold the terms of its signals, θ(t) or d(t): "
@@ -259,6 +267,14 @@ def fmu(path: Path) -> list[str]:
             "",
         ]
     return lines
+
+
+def _start(value: object) -> str:
+    """A start value, numbers to six digits."""
+    try:
+        return f"{float(str(value)):.6g}"
+    except ValueError:  # true, a text
+        return str(value)
 
 
 def equations(path: Path) -> Iterator[str]:

@@ -16,7 +16,7 @@ from pathlib import Path
 from benchmarks.__main__ import Part
 from benchmarks.coupling import choice, coverage, work
 from benchmarks.coupling.parts import build
-from benchmarks.coupling.problems import PROBLEMS
+from benchmarks.coupling.problems import PROBLEMS, problem
 from benchmarks.machine import description
 
 __all__ = ["WORK", "main", "sources"]
@@ -24,6 +24,11 @@ __all__ = ["WORK", "main", "sources"]
 DOCS = Path(__file__).absolute().parent.parent.parent / "docs"
 WORK = DOCS / "work_precision.md"
 DIAGRAMS = DOCS / "work_precision.png"
+
+PAPER = (
+    "K. Chen, A. Astolfi, Adaptive control of linear systems with time-varying parameters, "
+    "ACC (2018), section V"
+)
 
 PROCESSES = 5
 """Error bars are counted, not timed: problems may be measured side by side."""
@@ -60,7 +65,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def sources() -> list[str]:
     """Where the problems are from, as a table in Markdown."""
-    return ["| problem | source |", "|---|---|", *(f"| {p.title} | {p.source} |" for p in PROBLEMS)]
+    found = [(p.title, p.source) for p in PROBLEMS]
+    found += [(title, PAPER) for title in work.FIGURES.values()]
+    return [
+        "| problem | source |",
+        "|---|---|",
+        *(f"| {title} | {source} |" for title, source in found),
+    ]
 
 
 def _bars(folder: Path, *, quick: bool) -> Iterator[list[str]]:
@@ -102,12 +113,13 @@ def _choices(folder: Path, *, quick: bool) -> Iterator[list[str]]:
 
 
 def _work(folder: Path, *, quick: bool) -> Iterator[list[str]]:
-    """The lines of the page after each problem: a run that is broken off leaves what it has."""
+    """The lines of the page after each case: a run that is broken off leaves what it has."""
     points: list[work.Point] = []
     failures: list[str] = []
-    for problem in work.shown()[:1] if quick else work.shown():
-        _say(f"work and precision, {problem.title}")
-        found, failed = work.measure(folder, problem)
+    cases = [work.of_problem(problem(work.SHOWN[0]), folder)] if quick else work.shown(folder)
+    for case in cases:
+        _say(f"work and precision, {case.title}")
+        found, failed = work.measure(case)
         points += found
         failures += failed
         if not quick:

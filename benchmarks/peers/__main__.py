@@ -1,6 +1,6 @@
-"""Write tables of times, in Markdown: ``python -m benchmarks.peers [--quick]``.
+"""Write the tables of docs/benchmarks.md on peers: ``python -m benchmarks.peers [--quick]``.
 
-Each figure is a process of its own. Times are those of the processor, the least of some rounds in
+Each table is of a process of its own. Times are those of the processor, the least of some rounds in
 which all programs take turns.
 """
 
@@ -17,11 +17,13 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+from benchmarks.__main__ import PAGE, Part
 from benchmarks.accuracy import error_of
 from benchmarks.cases import Figure, figure, native
 from benchmarks.engines.monolithic import Monolithic
 from benchmarks.engines.ours import coupled_system
 from benchmarks.exact import Exact
+from benchmarks.machine import description
 from benchmarks.macro_step import STEP
 from benchmarks.markdown import table
 from benchmarks.peers.equation import Equation
@@ -43,6 +45,31 @@ ENGINES = {
     "FMPy `simulate_ssp`": "fmpy_ssp",
 }
 GOALS = {"ecos": 3.0, "libcosim": 10.0, "fmpy_loop": 30.0, "fmpy_ssp": 35.0}
+OWN_GOAL = 0.1
+"""Microseconds of a macro step that the loop may take itself."""
+STEPS = 100_000
+"""Macro steps, so many that the start of our run, which counts with it, does not show."""
+
+LSODA, DOP853 = (f"{name}, compiled, on the same functions in C" for name in ("LSODA", "DOP853"))
+CVODES = tuple(f"CVODE, {kind}, compiled, on the same functions in C" for kind in ("Adams", "BDF"))
+IN_PYTHON = "`solve_ivp`, LSODA, on Python functions"
+SAME_METHOD = "DOP853, compiled, at the tolerance of `model_exchange`"
+HERMITE, EXCHANGE = (f"`{c}`, the compiled loop alone" for c in ("hermite", "model_exchange"))
+RATIOS: Mapping[str, tuple[tuple[str, str, tuple[str, ...], float], ...]] = {
+    "fig2": (
+        ("the faster of LSODA and DOP853", HERMITE, (LSODA, DOP853), 2.0),
+        ("the same method on the inlined loop", EXCHANGE, (SAME_METHOD,), 2.2),
+        ("`solve_ivp`, LSODA, on Python functions", HERMITE, (IN_PYTHON,), 0.1),
+    ),
+    "fig3": (
+        ("LSODA", HERMITE, (LSODA,), 2.5),
+        ("the faster of CVODE's methods", HERMITE, CVODES, 1.2),
+        ("the fastest", HERMITE, (LSODA, DOP853, *CVODES), 6.0),
+        ("the same method on the inlined loop", EXCHANGE, (SAME_METHOD,), 2.2),
+        ("`solve_ivp`, LSODA, on Python functions", HERMITE, (IN_PYTHON,), 0.1),
+    ),
+}
+"""Of each figure: compared with what, which time, the least of which times, at most so many."""
 
 
 def macro_steps(rounds: int, steps: int) -> list[str]:
@@ -64,15 +91,22 @@ def macro_steps(rounds: int, steps: int) -> list[str]:
             title,
             f"{1e6 * least[name]:.2f}",
             f"{least[name] / least['ours']:.1f}",
-            f"{GOALS[name]:.0f}" if name in GOALS else "",
+            f"{GOALS[name]:.0f}: {_met(least[name] / least['ours'] >= GOALS[name])}"
+            if name in GOALS
+            else "",
         ]
         for title, name in ENGINES.items()
         if name in least
     ]
-    own = own_cost(coupled_system(loop), steps, rounds)
-    rows.append(["congelation, with functions that do nothing", f"{1e6 * own:.3f}", "", "0.1 us"])
+    own = 1e6 * own_cost(coupled_system(loop), steps, rounds)
+    goal = f"{OWN_GOAL} us: {_met(own <= OWN_GOAL)}"
+    rows.append(["congelation, with functions that do nothing", f"{own:.3f}", "", goal])
     head = ["native pair of Fig. 2, held inputs", "us per macro step", "÷ congelation", "goal"]
     return [*table(head, rows), *(f"\nNot run: {failure}." for failure in failures)]
+
+
+def _met(is_met: bool) -> str:
+    return "met" if is_met else "**missed**"
 
 
 def own_cost(system: System, steps: int, rounds: int) -> float:
@@ -185,14 +219,14 @@ def accuracy(name: str, rounds: int) -> list[str]:
             lambda: equation.run(m, t)
         )
     tolerance = cheapest(of_python)
-    title = "`solve_ivp`, LSODA, on Python functions"
+    title = IN_PYTHON
     settings[title] = f"{tolerance:.1e}"
     timed[title] = lambda: (
         python.run("LSODA", tolerance, shipped.stop_time, keep_rows=False).seconds
     )
     # The method and tolerance of `model_exchange`, whose states have nominal values of 1.
     exchange = float(settings["`model_exchange`"])
-    title = "DOP853, compiled, at the tolerance of `model_exchange`"
+    title = SAME_METHOD
     settings[title] = settings["`model_exchange`"]
     timed[title] = lambda: clocked(lambda: equation.run("DOP853", exchange))
     times = {key: t.least for key, t in interleaved(timed, rounds).items()}
@@ -209,37 +243,58 @@ def clocked(function: Callable[[], object]) -> float:
 def figure_table(
     name: str, times: Mapping[str, float], settings: Mapping[str, str], missing: tuple[str, ...]
 ) -> list[str]:
-    """The table of one figure, with the ratios to both loops."""
-    loops = [f"`{c}`, the compiled loop alone" for c in ("hermite", "model_exchange")]
+    """The tables of one figure: ratios to both loops, and those that there are goals for."""
     rows = [
         [
             title,
             settings[title],
             f"{1e3 * seconds:.3f}",
-            *(f"{times[loop] / seconds:.2f}" for loop in loops),
+            *(f"{times[loop] / seconds:.2f}" for loop in (HERMITE, EXCHANGE)),
         ]
         for title, seconds in times.items()
     ]
     head = [f"{name}, error 1e-6", "tolerance", "ms", "`hermite` ÷ it", "`model_exchange` ÷ it"]
-    return [*table(head, rows), *(f"\nNot run: {reason}." for reason in missing)]
+    goals = []
+    for title, ours, theirs, most in RATIOS[name]:
+        there = [times[other] for other in theirs if other in times]
+        if there:
+            ratio = times[ours] / min(there)
+            found = f"{ratio:.2f}: {_met(ratio <= most)}"
+            goals.append([f"{ours}, against {title}", f"{most:g}", found])
+    return [
+        *table(head, rows),
+        "",
+        *table([f"{name}, times its time", "goal, at most", "found"], goals),
+        *(f"\nNot run: {reason}." for reason in missing),
+    ]
 
 
 def main() -> None:
-    """Print all tables."""
+    """Print all tables, and write them into docs/benchmarks.md."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="only show that everything runs")
-    parser.add_argument("--only", choices=("steps", "fig2", "fig3"), help="one table")
+    parser.add_argument(
+        "--quick", action="store_true", help="only show that everything runs; print, do not write"
+    )
+    parser.add_argument("--only", choices=("steps", *RATIOS), help="print one table")
     given = parser.parse_args()
-    rounds, steps = (1, 500) if given.quick else (15, 20_000)
-    if given.only is None:
-        for part in ("steps", "fig2", "fig3"):
-            command = [sys.executable, "-m", "benchmarks.peers", "--only", part]
-            subprocess.run([*command, *(["--quick"] if given.quick else [])], check=True)
-            print()
-    elif given.only == "steps":
+    rounds, steps = (1, 500) if given.quick else (15, STEPS)
+    if given.only == "steps":
         print("\n".join(macro_steps(min(rounds, 5), steps)))
-    else:
+        return
+    if given.only is not None:
         print("\n".join(accuracy(given.only, 3 * rounds)))
+        return
+    lines = description("python -m benchmarks.peers")
+    for part in ("steps", *RATIOS):
+        command = [sys.executable, "-m", "benchmarks.peers", "--only", part]
+        command += ["--quick"] if given.quick else []
+        done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True)
+        lines += ["", done.stdout.strip()]
+    text = "\n".join(lines)
+    print(text)
+    if not given.quick:
+        page = Part("peers", lambda _: []).replaced(PAGE.read_text("utf-8"), text)
+        PAGE.write_text(page, "utf-8")
 
 
 if __name__ == "__main__":

@@ -15,9 +15,9 @@ from typing import Any
 import fmpy
 import numpy as np
 import numpy.typing as npt
-from scipy.integrate import DOP853
 
 from benchmarks.cases import Figure
+from congelation.cosim.compiled.model_exchange import method_arrays
 from congelation.cosim.compiled.structures import Integrator
 from congelation.verify.reference import reference
 
@@ -163,26 +163,7 @@ class Equation:
 
     def _prepare(self) -> None:
         n = len(self.start)
-        self._kept = {
-            name: np.ascontiguousarray(table)
-            for name, table in (
-                ("A", DOP853.A),
-                ("B", DOP853.B),
-                ("C", DOP853.C),
-                ("E3", DOP853.E3),
-                ("E5", DOP853.E5),
-                ("D", DOP853.D),
-                ("A_extra", DOP853.A_EXTRA),
-                ("C_extra", DOP853.C_EXTRA),
-                ("x", np.zeros(n)),
-                ("x_old", np.zeros(n)),
-                ("x_new", np.zeros(n)),
-                ("K", np.zeros(16 * n)),
-                ("F", np.zeros(7 * n)),
-                ("work", np.zeros(2 * n)),
-                ("nominal", np.ones(n)),
-            )
-        }
+        self._kept = {**method_arrays(n), "nominal": np.ones(n)}
         self._integrator = Integrator(n=n)
         for name, table in self._kept.items():
             setattr(self._integrator, name, table.ctypes.data)

@@ -20,7 +20,7 @@ from congelation.cli.shared import BAD_INPUT, EXIT_CODES, FAILED, complain, inte
 from congelation.errors import CongelationError, InvalidInput
 from congelation.results.identity import code_version
 
-__all__ = ["app", "main"]
+__all__ = ["app", "load", "main"]
 
 _COMMANDS: Mapping[str, str] = {
     "new": "cli.specs",
@@ -64,6 +64,18 @@ def _app(commands: Iterable[str]) -> typer.Typer:
     return app
 
 
+def load(words: Sequence[str]) -> None:
+    """Import what the command called by `words` needs."""
+    for name in _called(words):
+        import_module(f"congelation.{_COMMANDS[name]}")
+
+
+def _called(words: Sequence[str]) -> Iterable[str]:
+    """The command that is called; all of them where none is."""
+    called = next((word for word in words if not word.startswith("-")), "")
+    return [called] if called in _COMMANDS else _COMMANDS
+
+
 def __getattr__(name: str) -> typer.Typer:
     """`app`, the command line with all commands."""
     if name != "app":
@@ -79,18 +91,15 @@ def main(arguments: Sequence[str] | None = None, ready: Callable[[], None] = lam
     words = list(sys.argv[1:] if arguments is None else arguments)
     # Typer has no option whose value may be left out.
     words = ["--trust=bars" if word == "--trust" else word for word in words]
-    called = next((word for word in words if not word.startswith("-")), "")
     for stream in (sys.stdout, sys.stderr):
         # A title may have characters that the terminal's encoding lacks; they are escaped.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
         try:
-            app = _app([called] if called in _COMMANDS else _COMMANDS)
-            ready()
-            app(words)
+            _app(_called(words))(words)
         finally:
-            if sys.stdout is not None:  # it may have been closed by who started the process
+            if sys.stdout is not None:  # closed by who started this process
                 sys.stdout.flush()
     except OSError as error:
         if error.errno == errno.EPIPE:

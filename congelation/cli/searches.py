@@ -91,6 +91,8 @@ def attack(
             print(line)
     for file in files:
         print(file)
+    for line in found.notes:
+        complain(f"warning: {line}")
     for line in found.missed:
         complain(line)
     for find in found.violated:

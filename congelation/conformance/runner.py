@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 import threading
@@ -19,7 +20,7 @@ from congelation.conformance.finding import FmuReport, Report, Verdict, merged
 from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Outcome, Rule
 from congelation.conformance.rules import RULES
 from congelation.conformance.subject import DESCRIPTION
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, nearest, require_count
 from congelation.fmi.unpack import require_no_other_kind
 
 __all__ = ["check", "select"]
@@ -122,6 +123,12 @@ def check(
     >>> cg.check(["fmus/ScalarPlant.fmu"], static=True).failures()
     ()
     """
+    if not paths:
+        raise InvalidInput("paths is empty; give the FMUs to check")
+    if jobs is not None:
+        require_count(jobs, "jobs")
+    if not 0.0 < time_limit < math.inf:
+        raise InvalidInput(f"time_limit = {time_limit} is not valid; give a positive number of s")
     chosen = select(rules) or RULES
     files = [Path(path) for path in paths]
     for path in files:

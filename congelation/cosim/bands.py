@@ -94,6 +94,7 @@ def _over_maxima(time: Floats, values: Floats) -> Floats:
     """The lines through the local maxima of values, shape (N,), and through both ends."""
     rises, falls = np.ones(len(values), bool), np.ones(len(values), bool)
     rises[1:], falls[:-1] = values[1:] >= values[:-1], values[:-1] >= values[1:]
-    places = np.flatnonzero(rises & falls)
-    places = np.unique([0, *places, len(values) - 1])
+    highest = rises & falls
+    highest[[0, -1]] = True
+    places = np.flatnonzero(highest)
     return np.interp(time, time[places], values[places])

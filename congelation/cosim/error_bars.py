@@ -343,6 +343,10 @@ def _is_switched(item: Recorded, values: Floats) -> bool:
     """Whether a recorded variable, values of shape (N,), jumps between few values."""
     if item.variable.type != "Real" or item.variable.variability == "discrete":
         return True
+    # Most variables take many values among a few rows, and need no look at all of them.
+    few = values[:: 1 + len(values) // (ROWS_PER_LEVEL * MOST_LEVELS)]
+    if len(np.unique(few)) > MOST_LEVELS:
+        return False
     levels = len(np.unique(values))
     return 1 < levels <= MOST_LEVELS < len(values) / ROWS_PER_LEVEL
 

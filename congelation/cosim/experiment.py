@@ -7,8 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
-import numpy as np
-
 from congelation.arguments import check_fields
 from congelation.cosim.coupling import (
     Auto,
@@ -21,7 +19,7 @@ from congelation.cosim.coupling import (
 )
 from congelation.cosim.recording import Output
 from congelation.cosim.system import ResolvedSystem
-from congelation.errors import InvalidInput, shown
+from congelation.errors import InvalidInput, require_count, shown
 
 __all__ = [
     "Experiment",
@@ -37,9 +35,6 @@ SLAVE_SHARE = 0.1
 
 RESOLVED = 16.0
 """Shortest period that time resolves, in units in the last place of the time."""
-
-LATEST = 1e300
-"""Seconds that a time is less than; differences of such times are finite."""
 
 MOST_POINTS = 1e12
 """Largest number of points of one kind in a run: so many take months."""
@@ -57,6 +52,9 @@ written as decimal numbers."""
 
 GRID_SHARE = 1e-3
 """Largest part of a step that counts as rounding."""
+
+
+_NUMBERS = ("start_time", "stop_time", "step", "tolerance", "slave_tolerance", "output_interval")
 
 
 @dataclass(frozen=True)
@@ -121,31 +119,29 @@ class Experiment:
 
     def __post_init__(self) -> None:
         check_fields(self, "")
-        for name in ("start_time", "stop_time"):
-            time = getattr(self, name)
-            if isinstance(time, np.generic):
-                time = time.item()  # which can be compared with any number
-            if not -LATEST < time < LATEST:
-                raise InvalidInput(f"{name} {shown(getattr(self, name))} must be finite")
-        if not self.stop_time > self.start_time:
-            raise InvalidInput(
-                f"stop_time {self.stop_time:g} must be after start_time {self.start_time:g}"
-            )
+        for name in _NUMBERS:
+            value = getattr(self, name)
+            if value is not None and not _is_float(value):
+                raise InvalidInput(f"{name} = {shown(value)} is not valid; give a finite number")
+        start, stop = self.start_time, self.stop_time
+        if not (math.isfinite(stop - start) and stop > start):
+            raise InvalidInput(f"stop_time {stop:g} must be finite and after start_time {start:g}")
         if self.step is None and self.tolerance is None:
             raise InvalidInput("give a communication step or a tolerance")
         if self.tolerance is not None and not 0.0 < self.tolerance < 1.0:
             raise InvalidInput(f"tolerance {self.tolerance:g} must lie between 0 and 1")
-        if self.slave_tolerance is not None and not 0.0 < self.slave_tolerance < math.inf:
-            raise InvalidInput(
-                f"slave_tolerance {self.slave_tolerance:g} must be positive and finite"
-            )
-        if self.max_steps is not None and self.max_steps < 1:
-            raise InvalidInput(f"max_steps {self.max_steps}: at least 1 is needed")
+        if self.slave_tolerance is not None and not self.slave_tolerance > 0.0:
+            raise InvalidInput(f"slave_tolerance {self.slave_tolerance:g} must be positive")
+        for name in ("output_every", "max_steps"):
+            if getattr(self, name) is not None:
+                require_count(getattr(self, name), name)
         if self.options and not isinstance(self.coupling, str):
             raise InvalidInput(
                 "options go with the name of a coupling; this one has its own already"
             )
         self.given_coupling  # noqa: B018  # refuses what is unknown
+        if self.slave_tolerance is not None and self.slave_tolerance <= 0.0:
+            raise InvalidInput(f"slave_tolerance {self.slave_tolerance:g} must be positive")
 
     @cached_property
     def given_coupling(self) -> Coupling | Auto:
@@ -189,6 +185,14 @@ class Experiment:
         if self.output_interval is not None:
             return Output(interval=self.output_interval)
         return None if self.output_every is None else Output(every=self.output_every)
+
+
+def _is_float(number: float) -> bool:
+    """Whether a number is finite, and none that only a whole number can be."""
+    try:
+        return math.isfinite(number)
+    except OverflowError:
+        return False
 
 
 def slave_tolerance(experiment: Experiment) -> float | None:

@@ -121,11 +121,11 @@ def simulate(
         step=step,
         tolerance=tolerance,
         coupling=coupling,
-        options=options or {},
+        options={} if options is None else options,
         slave_tolerance=slave_tolerance,
         max_steps=max_steps,
     )
-    if trust is False:
+    if trust is False or trust is None:
         return perform(system, experiment, output=output, progress=progress, pool=pool)
     return trusted(perform, system, experiment, trust, output=output, progress=progress, pool=pool)
 
@@ -182,15 +182,17 @@ def perform(
     begin = clock.perf_counter()
     folder = os.getcwd()
     given = output if output is not None else experiment.output or Output()
-    outputs = (given,) if isinstance(given, Output) else tuple(given)
+    outputs = (given,) if isinstance(given, Output) else given
     if not outputs or any(further.sink is None for further in outputs[1:]):
         raise InvalidInput("of several outputs, all but the first need a sink")
     require_resolved_periods(experiment, outputs)
-    resolved = without(system.resolve(), lacks)
+    # What holds its inputs sends no derivatives but those that are connected explicitly.
+    exchange = isinstance(experiment.chosen_coupling, ModelExchange)
+    held = not (exchange or experiment.chosen_coupling.needs_derivatives)
+    resolved = without(system.resolve(held=held), lacks)
     require_abilities(resolved, experiment)
     recorded = resolved.recorded(experiment.record)
     names = tuple(item.name for item in recorded)
-    exchange = isinstance(experiment.chosen_coupling, ModelExchange)
     kinds = tuple((output.every, output.interval) for output in outputs)
     memory = Memory()
     status, message, statistics = Status.COMPLETED, Status.COMPLETED.value, Statistics()

@@ -20,7 +20,7 @@ from congelation.cosim.coupling.polynomial import differentiation, interpolation
 from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.sinks import Recorder, Sink
 from congelation.cosim.system import Recorded
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, require_count
 
 __all__ = [
     "NODES",
@@ -82,8 +82,7 @@ class Output:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.every < 1:
-            raise InvalidInput(f"every {self.every}: at least 1 is needed")
+        require_count(self.every, "every")
         if self.interval is not None and self.every != 1:
             raise InvalidInput("every and interval: give one of the two")
 
@@ -110,6 +109,8 @@ class Columns:
     ----------
     smooth, slopes : integer arrays, shape (K,)
         The columns whose derivatives are read, and where those stand in Y.
+    stepped : integer array
+        The columns that change at events alone: no Reals, and Reals that are not continuous.
     sampled : integer array, shape (S,)
         Where the values stand in Y that are known at communication points alone: Real and without
         derivatives.
@@ -122,6 +123,14 @@ class Columns:
         self.width = len(recorded)
         links = {(link.target, link.input.name): k for k, link in enumerate(ensemble.links)}
         places, slopes = [], []
+        self.stepped: Indices = np.array(
+            [
+                column
+                for column, item in enumerate(recorded)
+                if item.variable.type != "Real" or item.variable.variability != "continuous"
+            ],
+            np.intp,
+        )
         self._latched: list[tuple[int, int]] = []
         self._converted: list[tuple[int, float, float]] = []
         self._slow: list[tuple[int, Recorded]] = []
@@ -151,7 +160,7 @@ class Columns:
         every = np.array(slopes, np.intp)
         self.smooth: Indices = np.flatnonzero(every != NO_DERIVATIVE)
         self.slopes: Indices = every[self.smooth]
-        apart = {column for column, _ in (*self._slow, *self._latched)}
+        apart = {column for column, _ in (*self._slow, *self._latched)} | {*self.stepped.tolist()}
         alone = [c for c in np.flatnonzero(every == NO_DERIVATIVE).tolist() if c not in apart]
         self.sampled: Indices = self._places[alone]
         self.nominal: Floats = np.array([recorded[c].variable.nominal for c in alone], np.float64)
@@ -350,9 +359,10 @@ class OutputGrid(Rows):
 
     Between two communication points, a variable whose derivative is read follows the quintic
     through values and derivatives at both and at a neighbour; any other the quintic through the
-    values at three points on either side, or the nearest there are. Jumps are not interpolated
-    across. The latter are known at the points alone, whatever they do in between (a sine of theta
-    that no input sees), so steps longer than dt must be short enough to predict them.
+    values at three points on either side, or the nearest there are; one that changes at events
+    alone keeps the value of the point before. Jumps are not interpolated across. Those without a
+    derivative are known at the points alone, whatever they do in between (a sine of theta that no
+    input sees), so steps longer than dt must be short enough to predict them.
 
     Parameters
     ----------
@@ -454,4 +464,6 @@ class OutputGrid(Rows):
         values = [row[smooth] for row in self._values[nodes]]
         weights, _ = interpolation(self.times[nodes], time)
         row[smooth] = weights @ np.array([*values, *self._derivatives[nodes]])
+        stepped = self.columns.stepped
+        row[stepped] = self._values[k][stepped]
         return row

@@ -21,7 +21,6 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow.parquet
 
 from congelation.cosim.choice import Lack, without
 from congelation.cosim.coupling import Coupling, Hermite
@@ -29,7 +28,7 @@ from congelation.cosim.coupling.interpolant import HIGH, LOW
 from congelation.cosim.experiment import Experiment, slave_tolerance, step_count
 from congelation.cosim.recording import Output
 from congelation.cosim.result import Result, Statistics
-from congelation.cosim.sinks import Memory, ParquetFile, Sink
+from congelation.cosim.sinks import Memory, Sink
 from congelation.cosim.system import MAX_DERIVATIVE, System
 
 __all__ = ["Again", "Ahead", "At", "divided"]
@@ -49,16 +48,48 @@ NEAR = 1e-9
 WORTH = 2.0
 """Seconds that a run must have left for a second process to be worth its start."""
 
-LOOKED_AT = 0.2
-"""Seconds after which the length of a run is estimated."""
+LOOKED_AT = 0.1
+"""Seconds of steps after which the length of a run is estimated."""
 
 PROCESSORS = 2
 """Processors that two runs at once need."""
 
 MODULE = "congelation.cosim.rerun"
 
-ROWS, ENDED = "rows.parquet", "ended"
+ROWS, ENDED = "rows", "ended"
 """What a process leaves in its folder."""
+
+
+READ_AT_ONCE = 100_000
+"""Rows of a process that are looked at in one piece."""
+
+
+class _Doubles(Sink):
+    """Writes rows to a file as they stand in memory, for another process of this machine.
+
+    Parameters
+    ----------
+    path : Path
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def open(self, columns: Sequence[str]) -> None:
+        """Create the file."""
+        self._file = self._path.open("wb")
+
+    def write(self, block: Floats) -> None:
+        """Add the block."""
+        block.tofile(self._file)
+
+    def close(self) -> None:
+        """Complete the file."""
+        self._file.close()
+
+    def abandon(self) -> None:
+        """Leave what is there."""
+        self._file.close()
 
 
 class At(Sink):
@@ -273,7 +304,7 @@ class Ahead:
         self._lacks = tuple(lacks)
         self._system, self._experiment, self._output = system, experiment, output
         self._listener = progress
-        self._begun = clock.perf_counter()
+        self._first: tuple[float, float] | None = None
         self._place = os.getcwd()  # an FMU may leave it
         self._process: subprocess.Popen[bytes] | None = None
         self._folder: tempfile.TemporaryDirectory[str] | None = None
@@ -292,15 +323,14 @@ class Ahead:
 
     def progress(self, fraction: float) -> None:
         """Take the first run's progress, and start the process once it is worth it."""
-        elapsed = clock.perf_counter() - self._begun
-        if (
-            self._possible
-            and not self.started
-            and fraction > 0.0
-            and elapsed >= LOOKED_AT
-            and elapsed / fraction - elapsed >= WORTH
-        ):
-            self._start()
+        if self._possible and not self.started:
+            now = clock.perf_counter()
+            if self._first is None:
+                self._first = now, fraction
+            begun, before = self._first
+            elapsed, made = now - begun, fraction - before
+            if made > 0.0 and elapsed >= LOOKED_AT and elapsed * (1.0 - fraction) >= WORTH * made:
+                self._start()
         if self._listener is not None:
             self._listener(fraction)
 
@@ -313,7 +343,7 @@ class Ahead:
         request = (
             self._system,
             tightened(experiment, LOW if self._is_exact() else 1),
-            Output(interval=self._output.interval, sink=ParquetFile(rows)),
+            Output(interval=self._output.interval, sink=_Doubles(rows)),
             points[1:].tolist(),
             self._lacks,
             Path(self._folder.name, ENDED),
@@ -346,11 +376,12 @@ class Ahead:
         ended, rows = Path(self._folder.name, ENDED), Path(self._folder.name, ROWS)
         if not ended.is_file():
             return None
-        with pyarrow.parquet.ParquetFile(rows) as file:
-            kept.open(file.schema_arrow.names)
-            for batch in file.iter_batches():
-                kept.write(np.column_stack([column.to_numpy() for column in batch.columns]))
         result: Result = pickle.loads(ended.read_bytes())
+        columns = ["time", *result.names]
+        table = np.memmap(rows, np.float64, "r").reshape(-1, len(columns))
+        kept.open(columns)
+        for begin in range(0, len(table), READ_AT_ONCE):
+            kept.write(table[begin : begin + READ_AT_ONCE])
         return result
 
     def close(self) -> None:

@@ -36,6 +36,9 @@ LOOK_PERIOD = 2.0
 FIRST_CHUNK = 16
 """Steps that the compiled loop makes before progress is looked at for the first time."""
 
+LARGER = 8
+"""Times as many steps as so far, which it makes before progress is looked at again."""
+
 COLLAPSED = 1e5
 """Remaining steps above which the steps of a run count as collapsed."""
 
@@ -172,7 +175,7 @@ class Session:
         ensemble = self.ensemble
         for member, slave in zip(ensemble.system.members, ensemble.slaves, strict=True):
             slave.setup(self.start, self.stop, slave_tolerance)
-            slave.set_values(member.start)
+            slave.set_start(member.start)
             slave.require_no_error()
         for slave in ensemble.slaves:
             slave.enter_initialization()
@@ -314,7 +317,7 @@ class Session:
         """Steps that the compiled loop may make at once, those taken back included."""
         left = self._max_steps - self.steps - self.rejected
         # Few at first: where each step takes long, progress is to be known soon.
-        return int(max(1, min(CHUNK, left, max(FIRST_CHUNK, self.steps))))
+        return int(max(1, min(CHUNK, left, max(FIRST_CHUNK, LARGER * self.steps))))
 
     def report(self, fraction: float) -> None:
         """Report progress, if anyone listens."""

@@ -13,7 +13,7 @@ from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import settle_discrete
 
-__all__ = ["Halving", "Pace", "StepSize", "halved", "is_floor"]
+__all__ = ["DECIDED", "SMALLEST_ERROR", "Halving", "Pace", "StepSize", "halved", "is_floor"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -220,6 +220,19 @@ class Pace:
         """The power of the step by which weighed errors fall faster."""
         return EVENNESS if self.decided else 0
 
+    def judged(self, trial: Trial[Any], values: Floats, nominal: Floats) -> Trial[Any]:
+        """A trial whose error is relative to nominal value plus the largest that each link has been
+        so far, with the links' values at its end, shapes (L,).
+
+        A force that has been 15 kN need not be exact to the same part of a newton whenever it
+        passes zero.
+        """
+        if trial.missed is None or not len(values):
+            return trial
+        relative = trial.missed / (nominal + np.maximum(self.sizes, np.abs(values)))
+        worst = int(relative.argmax())
+        return trial._replace(error=float(relative[worst]), worst=worst)
+
     def lag(self, change: Floats, nominal: Floats, length: float) -> float:
         """Of a step over which the links changed so much, shapes (L,)."""
         return length**2 * float((np.abs(change) / (nominal + self.sizes)).max(initial=0.0))
@@ -261,6 +274,10 @@ PROPORTIONAL, INTEGRAL = 0.4, 0.7
 G. Soderlind, A PI stepsize control for the numerical solution of ordinary differential equations,
 BIT 28 (1988); Hairer, Wanner, Solving Ordinary Differential Equations II, section IV.2."""
 
+LARGEST_AT_START = 30.0
+"""By so much the first steps grow where inputs are predicted and an error is at its floor, which
+then reaches a tenth of the tolerance at most."""
+
 SMALLEST_ERROR = 1e-4
 """Floor of the scaled error: below it the step grows by the largest change anyway."""
 
@@ -291,6 +308,13 @@ class StepSize:
         largest = 1.0 if self.rejected else LARGEST_CHANGE
         change = min(largest, max(SMALLEST_CHANGE, change))
         return replace(self, length=length * change, error_before=error, rejected=False)
+
+    def begun(self, error: float, length: float, order: int) -> StepSize:
+        """The same until the error has decided the length of a step. The first steps are far too
+        short, and each costs as much as a long one."""
+        if error > SMALLEST_ERROR or self.rejected:
+            return self.accepted(error, length, order)
+        return replace(self, length=length * LARGEST_AT_START, error_before=SMALLEST_ERROR)
 
     def refused(self, error: float, length: float, order: int) -> StepSize:
         """After a step of `length` that was taken back; `error` may be infinite."""

@@ -51,6 +51,16 @@ over jumps that no FMU announces. First steps are no shorter unless one is given
 JUMPED = 10.0
 """Error, in tolerances, beyond which the values before a kept step say nothing of those to come."""
 
+KEPT_SHARE = 1e-2
+"""The same as a part of the horizon and of the tolerance: to find a jump more closely costs steps,
+and makes the run no more accurate than the tolerance has the time of the jump."""
+
+LATE = 3
+"""Steps that keep their length from a jump on that no FMU announces, where steps cannot be taken
+back. The jump is late by half a step on average. The parabola through the last three values goes on
+to rise by 3/4 of the jump in the middle of the next step, and falls short by 1/4 in the one after
+that, which makes up for the half step; only values that are equally far apart do so."""
+
 SMALLEST_STEP = 16.0
 """Smallest step, in units in the last place of the time: time does not resolve a shorter one."""
 
@@ -166,10 +176,11 @@ def run_adaptive(
     horizon = session.stop - session.start
     halving = Halving(np.abs(ensemble.Y[ensemble.source]), np.ones(len(ensemble.links)), 0)
     pace = Pace(halving.sizes)
-    shortest = SHORTEST_KEPT * horizon
-    guess = max(shortest, min(stepper.first_step(state), FIRST_SHARE * horizon))
+    shortest = _shortest_kept(session, tolerance)
+    guess = max(SHORTEST_KEPT * horizon, min(stepper.first_step(state), FIRST_SHARE * horizon))
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
+    late = 0
     event = session.next_event(time)
     compiled = _compiled(session, tolerance)
     assert not isinstance(compiled, CompiledHeld)  # which takes no tolerance
@@ -190,7 +201,7 @@ def run_adaptive(
             before = ensemble.Y[ensemble.source]
             while True:
                 end = _end(time, size.length, target)
-                trial, error = _tried(session, stepper, state, time, end, tolerance, halving)
+                trial, error = _tried(session, stepper, state, time, end, tolerance, halving, pace)
                 order = trial.order if trial is not None else 1
                 if stepper.predicts and trial is not None:
                     predicted, order = error, order + pace.order
@@ -202,7 +213,10 @@ def run_adaptive(
                     error = max(error, session.unresolved(end))
                     refused = None
                 if trial is not None and error <= 1.0:
-                    size = size.accepted(error, end - time, order)
+                    late = 0
+                    begins = stepper.predicts and not pace.decided
+                    follow = size.begun if begins else size.accepted
+                    size = follow(error, end - time, order)
                     break
                 if (
                     trial is not None
@@ -210,8 +224,13 @@ def run_adaptive(
                     and (not session.takes_back or end - time <= shortest)
                 ):
                     session.kept += trial.error > tolerance
+                    jumped = trial.error > JUMPED * tolerance
+                    if jumped and not session.takes_back and late < LATE:
+                        late += 1
+                        size = size.restarted(end - time)
+                        break
                     size = size.refused(error, end - time, order)
-                    if trial.error > JUMPED * tolerance:
+                    if jumped:
                         trial = trial._replace(state=stepper.start(end, trial.state))
                     size = replace(size, length=max(size.length, shortest))
                     break
@@ -241,6 +260,11 @@ def run_adaptive(
             time = event
             size = size.restarted(min(size.length, stepper.first_step(state) or shortest))
             event = session.next_event(time)
+
+
+def _shortest_kept(session: Session, tolerance: float) -> float:
+    """Longest step, in seconds, that is kept whatever its error."""
+    return max(SHORTEST_KEPT, KEPT_SHARE * tolerance) * (session.stop - session.start)
 
 
 def _compiled(
@@ -281,7 +305,7 @@ def _new_compiled(
         stepper.plan(),
         1.0 if tolerance is None else tolerance,
         stepper.first_change,
-        SHORTEST_KEPT * (session.stop - session.start) if stepper.keeps else 0.0,
+        _shortest_kept(session, tolerance) if stepper.keeps and tolerance is not None else 0.0,
         session.start,
         session.stop,
     )
@@ -303,6 +327,7 @@ def _tried(
     end: float,
     tolerance: float,
     halving: Halving,
+    pace: Pace,
 ) -> tuple[Trial[Any] | None, float]:
     """A step for a trial, and its scaled error; infinity where it could not be made."""
     smallest = max(
@@ -316,6 +341,8 @@ def _tried(
             )
         else:
             trial = stepper.attempt(state, time, end)
+            ensemble = session.ensemble
+            trial = pace.judged(trial, ensemble.Y[ensemble.source], ensemble.nominal)
         session.ensemble.check(end)
     except (RunEnded, StepDiscarded, SlaveTerminated):
         if end - time <= smallest or not session.takes_back:

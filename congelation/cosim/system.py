@@ -203,12 +203,25 @@ class ResolvedSystem:
                 and not variable.name.startswith("der(")
                 and variable.name != "next_event"
             )
+        found = self.columns(names, "record")
+        for column in found:
+            if column.variable.type == "String":
+                raise InvalidInput(f"record '{column.name}': a String cannot be recorded")
+        return found
+
+    def columns(self, names: Sequence[str], key: str) -> tuple[Recorded, ...]:
+        """The scalar variables that names under a `key` stand for.
+
+        Raises
+        ------
+        InvalidInput
+            A name that does not exist.
+        """
         found: dict[str, Recorded] = {}
         for name in names:
-            place, local = _split(name, [m.name for m in self.members], f"record '{name}'")
-            for variable in _elements(self.members[place].description, local, f"record '{name}'"):
-                if variable.type == "String":
-                    raise InvalidInput(f"record '{name}': a String cannot be recorded")
+            what = f"{key} '{name}'"
+            place, local = _split(name, [m.name for m in self.members], what)
+            for variable in _elements(self.members[place].description, local, what):
                 column = f"{self.members[place].name}.{variable.name}"
                 found[column] = Recorded(place, variable, column)
         return tuple(found.values())
@@ -249,8 +262,14 @@ class System:
             object.__setattr__(self, "connections", tuple(parsed))
         check_fields(self)
 
-    def resolve(self) -> ResolvedSystem:
+    def resolve(self, *, held: bool = False) -> ResolvedSystem:
         """Find every name.
+
+        Parameters
+        ----------
+        held : bool
+            Whether inputs are held between communication points, so that no derivatives follow
+            from a connection: those that are connected explicitly then count.
 
         Raises
         ------
@@ -269,15 +288,19 @@ class System:
                     "can be instantiated only once per process"
                 )
         # The runs of a study have connections in common, whose names are found once.
-        key = (tuple((m.name, m.description.sha256) for m in members), tuple(self.connections))
+        key = (
+            tuple((m.name, m.description.sha256) for m in members),
+            tuple(self.connections),
+            held,
+        )
         if key not in _LINKS:
             links = [
                 link
                 for connection in self.connections
                 for link in _links(connection, members, names)
             ]
-            links = _without_implied(links)
-            _check_single_source(links)
+            links = list(links) if held else _without_implied(links)
+            _check_single_source(links, held)
             while len(_LINKS) >= KEPT_SYSTEMS:
                 _LINKS.pop(next(iter(_LINKS)))
             _LINKS[key] = (
@@ -397,6 +420,15 @@ def _check_pair(output: Variable, input_: Variable, place: str) -> None:
             f"{place}: '{output.name}' is {output.type} and '{input_.name}' is "
             f"{input_.type}; the types must agree"
         )
+    if output.items and input_.items and {*output.items} != {*input_.items}:
+        raise InvalidInput(
+            f"{place}: '{output.name}' and '{input_.name}' are enumerations of different items: "
+            f"{_items(output)} and {_items(input_)}"
+        )
+
+
+def _items(variable: Variable) -> str:
+    return ", ".join(f"'{name}' ({value})" for name, value in variable.items)
 
 
 def _conversion(
@@ -404,6 +436,11 @@ def _conversion(
 ) -> Conversion:
     """How values of the output become values of the input; only Reals have units."""
     if output.type != "Real":
+        if input_.items and not output.items:
+            return Conversion(
+                doubt=f"'{output.name}' is an Integer, which may be no item of the enumeration "
+                f"'{input_.name}'"
+            )
         return Conversion()
     units = source.description.unit(output.unit), target.description.unit(input_.unit)
     try:
@@ -438,7 +475,7 @@ def _without_implied(links: Sequence[Link]) -> list[Link]:
     ]
 
 
-def _check_single_source(links: Sequence[Link]) -> None:
+def _check_single_source(links: Sequence[Link], held: bool) -> None:
     seen: dict[tuple[int, str], Link] = {}
     for link in links:
         key = (link.target, link.input.name)
@@ -448,7 +485,7 @@ def _check_single_source(links: Sequence[Link]) -> None:
                 f"'{seen[key].name}'; an input takes one source"
             )
         seen[key] = link
-    for link in links:
+    for link in () if held else links:
         for variable in link.target_derivatives:
             if variable is not None and (link.target, variable.name) in seen:
                 other = seen[link.target, variable.name]

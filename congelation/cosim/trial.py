@@ -25,7 +25,7 @@ from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Columns
 from congelation.cosim.result import RunEnded
 from congelation.cosim.session import Session
-from congelation.cosim.step_control import DECIDED
+from congelation.cosim.step_control import DECIDED, SMALLEST_ERROR
 from congelation.cosim.system import MAX_DERIVATIVE, ResolvedSystem
 from congelation.errors import SlaveError
 from congelation.fmi.slave import SlaveTerminated
@@ -128,8 +128,8 @@ Over the coupling problems it is up to 0.16 where all is well, and 0.5 and 3 whe
 WORTH = 200
 """Steps of a run for which a comparison, of about 15 passes, is worth its price."""
 
-GROWTH = 4.0
-"""By so much steps grow until their errors show, where a tolerance chooses them."""
+GROWTH = 10.0
+"""By so much steps grow, at most, until their errors show, where a tolerance chooses them."""
 
 EVEN_STEPS = 3
 """Steps of that length then, so that derivatives come from past values as in a run."""
@@ -382,6 +382,8 @@ class Trial:
             self.why = (
                 "all FMUs can save their state, take polynomials as inputs and know derivatives "
                 "of their outputs"
+                if self._system.links
+                else "no numbers are exchanged"
             )
             return
         if not self._feeds_back and not self._able:
@@ -497,11 +499,14 @@ class Trial:
                     settle_discrete(ensemble, time + length)
                     state, time = trial.state, time + length
                     error = trial.error / tolerance
-                    if error >= DECIDED or GROWTH * length > longest:
+                    fits = 1.0 / math.sqrt(max(error, SMALLEST_ERROR))
+                    if error >= DECIDED or length >= longest:
                         break
-                    length *= GROWTH
-                length /= math.sqrt(max(error, 1.0))
-                if (stop - start) / length < WORTH or time + (EVEN_STEPS + 1) * length >= jump:
+                    length = min(length * min(GROWTH, fits), longest)
+                # So long steps are likely to become, be they longer than those that are tried.
+                likely = length * fits
+                length = min(length, likely)
+                if (stop - start) / likely < WORTH or time + (EVEN_STEPS + 1) * length >= jump:
                     return None
                 for _ in range(EVEN_STEPS):
                     state = stepper.advance(state, time, time + length)

@@ -30,7 +30,7 @@ from congelation.design.finds import (
 from congelation.design.late_strike import SETTLED, strikes
 from congelation.design.search import Search
 from congelation.design.shooting import Cells, Path, Shooting
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, nearest, require_count
 from congelation.scenario.load import load_scenario
 from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import MetricSpec, Scenario
@@ -97,6 +97,8 @@ def attack(
     """
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(pathlib.Path(scenario))
+    require_count(workers, "workers")
+    _check_search(objectives, variants, effort)
     names = [v.name for v in scenario.variants]
     for name in variants or ():
         if name not in names:
@@ -126,6 +128,16 @@ def attack(
         tuple(one for one in ordered if isinstance(one, Find)),
         tuple(one for one in ordered if isinstance(one, str)),
     )
+
+
+def _check_search(objectives: Sequence[str], variants: Sequence[str] | None, effort: float) -> None:
+    """Refuse a search of nothing, or without end."""
+    if not objectives:
+        raise InvalidInput("objectives is empty; name what is to be maximised")
+    if variants is not None and not variants:
+        raise InvalidInput("variants is empty; leave it out for all")
+    if not 0.0 < effort < math.inf:
+        raise InvalidInput(f"effort = {effort} is not valid; give a positive number")
 
 
 def _silent(variant: str, objective: str, done: float, best: float) -> None:

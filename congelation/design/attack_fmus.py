@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
@@ -25,7 +26,7 @@ from congelation.design.derivative_free import maximise
 from congelation.design.finds import DIFFERENCE, Attack, Find
 from congelation.design.found_scenario import driven
 from congelation.design.shooting import Cells
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, counted, nearest
 from congelation.fmi.description import describe
 from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import Experiment, MetricSpec, Scenario
@@ -94,6 +95,7 @@ def attack_fmus(
             raise InvalidInput(f"'{name}' is no metric of a group; {nearest(name, list(specs))}")
     finds: list[Find] = []
     missed: list[str] = []
+    notes: list[str] = []
     for variant in scenario.variants:
         if variants is not None and variant.name not in variants:
             continue
@@ -101,11 +103,12 @@ def attack_fmus(
             with SlavePool() as pool, tempfile.TemporaryDirectory() as folder:
                 rig = _Rig(scenario, variant.name, varied, specs[name], source, pool, Path(folder))
                 found = rig.search(int(RUNS * effort), seed, progress)
+            notes += rig.notes
             if isinstance(found, Find):
                 finds.append(found)
             else:
                 missed.append(found)
-    return Attack(scenario, tuple(finds), tuple(missed), tuple(varied), source)
+    return Attack(scenario, tuple(finds), tuple(missed), tuple(varied), source, tuple(notes))
 
 
 class _Rig:
@@ -126,6 +129,19 @@ class _Rig:
         self._variant, self._vary, self._spec = variant, vary, spec
         self._source, self._pool, self._folder = source, pool, folder
         self._runs = 0
+        self._failures: Counter[str] = Counter()
+
+    @property
+    def notes(self) -> list[str]:
+        """One line on runs that say nothing, as they did not reach the stop time."""
+        if not self._failures:
+            return []
+        ((message, _),) = self._failures.most_common(1)
+        return [
+            f"{self._variant}: {self._spec.name}: {self._failures.total()} of "
+            f"{counted(self._runs, 'run')} did not reach the stop time, and their values were "
+            f"passed over; most often: {message}"
+        ]
 
     def search(
         self, runs: int, seed: int, progress: Callable[[str, str, float, float], None]
@@ -172,6 +188,7 @@ class _Rig:
         system, _ = driven(self._case.system, cells, self._vary, self._source, self._folder, stem)
         result = _run(system, self._case.experiment, self._spec, finer, self._pool)
         if not result.completed:
+            self._failures[result.message] += 1
             return math.nan
         found = metric(self._spec.metric).function(result.time, result.values, **self._spec.options)
         return math.nan if found is None else float(found)

@@ -115,6 +115,8 @@ class Attack:
         One line for each variant and objective without a find, and why.
     varied : tuple of Varied
         What was varied in place of theta(t).
+    notes : tuple of str
+        A line for each search in which runs failed, and so were passed over.
     source : Path or None
         The FMU that drove inputs; None where theta(t) was attacked.
     """
@@ -124,6 +126,7 @@ class Attack:
     missed: tuple[str, ...]
     varied: tuple[Varied, ...] = ()
     source: pathlib.Path | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def violated(self) -> tuple[Find, ...]:

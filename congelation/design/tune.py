@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from congelation.arguments import checked
 from congelation.design.tuning_candidates import OBJECTIVES, Candidates, Evaluator
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, require_count
 from congelation.export.assumptions import spec_assumptions
 from congelation.signals import box_radius
 from congelation.verify.certify import Design, certify_design
@@ -175,6 +175,10 @@ def tune(
     >>> all(proposal.certified for proposal in tuning.front)
     True
     """
+    require_count(evaluations, "evaluations")
+    require_count(workers, "workers")
+    if not 0.0 < stop_time < math.inf:
+        raise InvalidInput(f"stop_time = {stop_time} is not valid; give a positive time in seconds")
     spec = Path(spec)
     evaluator = Evaluator(spec, below, stop_time)
     own = evaluator.exact(np.zeros(evaluator.dimension))

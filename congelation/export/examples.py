@@ -17,7 +17,7 @@ __all__ = ["copy_examples", "write_starter"]
 
 @checked
 def copy_examples(folder: Path | str) -> list[Path]:
-    """Copy the shipped specs and scenarios into `folder`/specs and `folder`/scenarios.
+    """Copy the shipped specs and scenarios, with their tables, into folders of `folder`.
 
     Returns
     -------
@@ -38,7 +38,8 @@ def copy_examples(folder: Path | str) -> list[Path]:
     texts = {
         Path(folder) / kind / file.name: file.read_bytes()
         for kind in ("specs", "scenarios")
-        for file in sorted(shipped(kind).glob("*.toml"))
+        for file in sorted(shipped(kind).iterdir())
+        if file.suffix in (".toml", ".csv")  # scenarios name tables beside them
     }
     # Nobody's work is overwritten, and nothing is copied before that is sure.
     for target, text in texts.items():

@@ -49,6 +49,10 @@ class Variable:
         Whether values are differences, to which the offset of a unit does not apply.
     description : str
         The FMU's own, empty where it has none.
+    least, most : float or None
+        The range of a number; None where the FMU does not bound it.
+    default : str
+        The start value as the FMU states it, empty where it states none.
     """
 
     name: str
@@ -62,6 +66,9 @@ class Variable:
     unit: str = ""
     relative: bool = False
     description: str = ""
+    least: float | None = None
+    most: float | None = None
+    default: str = ""
 
     @cached_property
     def settable(self) -> bool:
@@ -190,30 +197,94 @@ def _read(path: Path) -> Description:
         root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
     except etree.XMLSyntaxError as error:
         raise InvalidInput(f"{path}: unreadable modelDescription.xml: {error}") from error
-    # FMPy reads other versions as well, or stumbles over what they have not got.
-    if (version := root.get("fmiVersion")) != "2.0":
-        raise InvalidInput(f"{path}: an FMU of FMI {version}; one of FMI 2.0 is needed")
+    _require_fmi_2(path, root)
     try:
-        model = fmpy.read_model_description(os.fspath(path), validate=False)
-    except Exception as error:  # fmpy raises bare Exception for whatever it cannot read
-        raise InvalidInput(f"{path}: unreadable modelDescription.xml: {error}") from error
-    simulation = model.coSimulation
+        _check_references(root)
+        with open(path, "rb") as stream:
+            model = fmpy.read_model_description(stream, validate=False)
+        return _described(path, root, model)
+    except InvalidInput:
+        raise
+    # fmpy raises bare Exception for whatever it cannot read; the schema says what and where it is.
+    except Exception as error:
+        reason = _schema_error(root) or str(error)
+        raise InvalidInput(f"{path}: unreadable modelDescription.xml: {reason}") from error
+
+
+def _require_fmi_2(path: Path, root: etree._Element) -> None:
+    """Refuse what FMPy reads as well, or stumbles over: other versions and other documents."""
+    if root.tag != "fmiModelDescription":
+        raise InvalidInput(
+            f"{path}: modelDescription.xml begins with '{root.tag}', not with 'fmiModelDescription'"
+        )
+    version = root.get("fmiVersion")
+    if version is None:
+        raise InvalidInput(f"{path}: modelDescription.xml states no fmiVersion; FMI 2.0 is needed")
+    if version.startswith("2.0."):
+        raise InvalidInput(f"{path}: fmiVersion = '{version}'; every FMU of FMI 2.0 states '2.0'")
+    if version != "2.0":
+        raise InvalidInput(f"{path}: an FMU of FMI {version}; one of FMI 2.0 is needed")
+    simulation = root.find("CoSimulation")
+    if simulation is None and root.find("ModelExchange") is None:
+        raise InvalidInput(f"{path}: it offers neither co-simulation nor model exchange")
     if simulation is None:
         raise InvalidInput(f"{path}: an FMU for model exchange alone; co-simulation is needed")
-    if {*str(simulation.modelIdentifier)} & {"/", "\\", "\0"}:  # it names files
-        raise InvalidInput(f"{path}: modelIdentifier '{simulation.modelIdentifier}' is not valid")
+    for element, attribute in ((root, "guid"), (simulation, "modelIdentifier")):
+        if not element.get(attribute):
+            raise InvalidInput(f"{path}: modelDescription.xml states no {attribute}")
+    identifier = simulation.get("modelIdentifier", "")
+    if {*identifier} & {"/", "\\", "\0"}:  # it names files
+        raise InvalidInput(f"{path}: modelIdentifier '{identifier}' is not valid")
+
+
+LARGEST_REFERENCE = 2**32 - 1
+"""Value references are unsigned numbers of 32 bits."""
+
+
+def _check_references(root: etree._Element) -> None:
+    """Refuse numbers that C and FMPy would take for others: too large, negative, or zero."""
+    variables = root.findall("ModelVariables/ScalarVariable")
+    for variable in variables:
+        reference = int(variable.get("valueReference", ""))
+        if not 0 <= reference <= LARGEST_REFERENCE or not variable.get("name"):
+            raise ValueError(f"line {variable.sourceline}: a variable without name or reference")
+    for unknown in root.iterfind("ModelStructure/*/Unknown"):
+        for text in (unknown.get("index", ""), *unknown.get("dependencies", "").split()):
+            if not 1 <= int(text) <= len(variables):
+                raise ValueError(
+                    f"line {unknown.sourceline}: ModelStructure names the variable {text}; there "
+                    f"are {len(variables)}, counted from 1"
+                )
+
+
+def _schema_error(root: etree._Element) -> str:
+    """The first thing in a model description that the schema of FMI 2.0 does not allow."""
+    folder = Path(fmpy.__file__).parent / "schema" / "fmi2"
+    schema = etree.XMLSchema(file=folder / "fmi2ModelDescription.xsd")
+    if schema.validate(root):
+        return ""
+    return f"line {schema.error_log[0].line}: {schema.error_log[0].message}"
+
+
+def _described(
+    path: Path, root: etree._Element, model: fmpy.model_description.ModelDescription
+) -> Description:
+    simulation = model.coSimulation
     counts = Counter(variable.name for variable in model.modelVariables)
     if twice := [name for name, count in counts.items() if count > 1]:
         raise InvalidInput(
             f"{path}: modelDescription.xml has {counts[twice[0]]} variables named '{twice[0]}'; "
             "names must be unique (FMI 2.0, 2.2.7), see: congelation check --static"
         )
+    relative = _relative_quantities(root)
     return Description(
         path=path,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         model_identifier=simulation.modelIdentifier,
         guid=model.guid,
-        variables=MappingProxyType({v.name: _variable(v) for v in model.modelVariables}),
+        variables=MappingProxyType(
+            {v.name: _variable(v, v.name in relative) for v in model.modelVariables}
+        ),
         dependencies=MappingProxyType({u.variable.name: _names(u) for u in model.outputs}),
         can_get_and_set_state=simulation.canGetAndSetFMUstate,
         can_interpolate_inputs=simulation.canInterpolateInputs,
@@ -289,7 +360,31 @@ def _nominal(stated: str | None) -> float:
     return size if math.isfinite(size) and size > 0.0 else 1.0
 
 
-def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
+def _relative_quantities(root: etree._Element) -> set[str]:
+    """Names of the Reals that are differences, by themselves or by their type.
+
+    FMPy looks for the attribute of a variable among its child elements, and finds none.
+    """
+    types = {
+        kind.get("name"): real.get("relativeQuantity")
+        for kind in root.iterfind("TypeDefinitions/SimpleType")
+        for real in kind.iterfind("Real")
+    }
+    return {
+        variable.get("name", "")
+        for variable in root.iterfind("ModelVariables/ScalarVariable")
+        for real in variable.iterfind("Real")
+        if real.get("relativeQuantity", types.get(real.get("declaredType"))) in ("true", "1")
+    }
+
+
+def _bound(variable: fmpy.model_description.ModelVariable, name: str) -> float | None:
+    """The least or the largest value of a number, by itself or by its type."""
+    stated = getattr(variable, name) or getattr(variable.declaredType, name, None)
+    return None if stated is None or variable.type == "Enumeration" else float(stated)
+
+
+def _variable(variable: fmpy.model_description.ModelVariable, relative: bool) -> Variable:
     return Variable(
         name=variable.name,
         reference=variable.valueReference,
@@ -299,12 +394,11 @@ def _variable(variable: fmpy.model_description.ModelVariable) -> Variable:
         initial=variable.initial,
         nominal=_nominal(variable.nominal),
         unit=variable.unit or (getattr(variable.declaredType, "unit", None) or ""),
-        relative=bool(
-            getattr(variable.declaredType, "relativeQuantity", False)
-            if variable.relativeQuantity is None
-            else variable.relativeQuantity
-        ),
+        relative=relative,
         description=variable.description or "",
+        least=_bound(variable, "min"),
+        most=_bound(variable, "max"),
+        default=str(variable.start or ""),
         items=tuple(
             (item.name, int(item.value))
             for item in getattr(variable.declaredType, "items", None) or ()

@@ -130,7 +130,11 @@ def _is_optional(name: str, inputs: set[str]) -> bool:
 
 
 def _number(text: str | float | None) -> float | None:
-    return None if text is None else float(text)
+    """What the model description states, where it is a number."""
+    try:
+        return None if text is None else float(text)
+    except ValueError:
+        return None
 
 
 def _table(group: tuple[VariableInfo, ...]) -> list[str]:

@@ -52,8 +52,13 @@ class Message:
 
     @property
     def line(self) -> str:
-        """The text in one line."""
-        return " ".join(self.text.split())
+        """The text in one line, what a terminal would obey in it escaped."""
+        line = " ".join(self.text.split())
+        return line if line.isprintable() else "".join(map(_printable, line))
+
+
+def _printable(character: str) -> str:
+    return character if character.isprintable() else ascii(character)[1:-1]
 
 
 @dataclass
@@ -175,9 +180,14 @@ def load(
             instanceName=name,
         )
     except Exception as error:  # fmpy raises bare Exception
-        raise InvalidInput(
-            f"{description.path}: {error} (needed: a binary for {fmpy.platform})"
-        ) from error
+        binaries = sorted(f"{f.parent.name}/{f.name}" for f in folder.glob("binaries/*/*"))
+        held = ", ".join(binaries) if binaries else "none at all"
+        wanted = f"{fmpy.platform}/{identifier}{fmpy.sharedLibraryExtension}"
+        if wanted not in binaries:
+            raise InvalidInput(
+                f"{description.path}: it has no binary {wanted}; there is {held}"
+            ) from error
+        raise InvalidInput(f"{description.path}: {wanted} cannot be loaded: {error}") from error
     multiprocessing.util.Finalize(None, fmpy.freeLibrary, (slave.dll._handle,), exitpriority=2)
     slave.callbacks = _callbacks(log, formatted=is_python)
     slave.component = slave.fmi2Instantiate(

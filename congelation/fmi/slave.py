@@ -90,6 +90,7 @@ class Slave:
         # Each call is noted before it is made, so that one that never returns has a name.
         self._note = CALLS.note
         self._functions: dict[str, Any] = {}
+        self._start: _Setting | None = None
         self._codes: dict[str, int] = {}
         self._note[0] = self._code("fmi2Instantiate")
         self._fmu = load(description, name, self.log, exchange=exchange)
@@ -197,19 +198,17 @@ class Slave:
 
     def set_values(self, values: Iterable[StartValue]) -> None:
         """Set variables of any type, one call per type."""
-        groups: dict[str, tuple[list[int], list[Any]]] = {}
-        for variable, value in values:
-            references, scalars = groups.setdefault(variable.type, ([], []))
-            references.append(variable.reference)
-            scalars.append(value.encode() if isinstance(value, str) else value)
-        for kind, (references, scalars) in groups.items():
-            count = len(references)
-            self._call(
-                f"fmi2Set{kind}",
-                (ctypes.c_uint * count)(*references),
-                ctypes.c_size_t(count),
-                (_C_TYPES[kind] * count)(*scalars),
-            )
+        self._set(_Setting(tuple(values)))
+
+    def set_start(self, values: tuple[StartValue, ...]) -> None:
+        """As `set_values`, for the values of a run, of which the next run changes a few."""
+        if self._start is None or not self._start.takes(values):
+            self._start = _Setting(values)
+        self._set(self._start)
+
+    def _set(self, setting: _Setting) -> None:
+        for kind, references, scalars in setting.calls:
+            self._call(f"fmi2Set{kind}", references, ctypes.c_size_t(len(scalars)), scalars)
 
     def set_value(self, variable: Variable, value: float | int | bool | str) -> None:
         """Set one variable of any type."""
@@ -436,7 +435,7 @@ class Slave:
 
     def _reason(self, otherwise: str) -> str:
         message = self.log.error or (self.log.messages[-1] if self.log.messages else None)
-        return otherwise if message is None else message.line
+        return otherwise if message is None else message.line or otherwise
 
     def _check(self, function: str, status: int) -> None:
         if status > WARNING:
@@ -512,6 +511,49 @@ class Slave:
 
         call.__doc__ = f"{name} of {len(references)} values of {self.name}, shape {values.shape}"
         return call
+
+
+class _Setting:
+    """Values as the functions that set them take them.
+
+    Attributes
+    ----------
+    calls : list of (type, references, values)
+    """
+
+    def __init__(self, values: tuple[StartValue, ...]) -> None:
+        groups: dict[str, list[StartValue]] = {}
+        for given in values:
+            groups.setdefault(given.variable.type, []).append(given)
+        self.calls: list[tuple[str, Any, Any]] = []
+        places: dict[int, tuple[Any, int]] = {}
+        for kind, group in groups.items():
+            count = len(group)
+            references = (ctypes.c_uint * count)(*(given.variable.reference for given in group))
+            scalars = (_C_TYPES[kind] * count)(*(_scalar(given) for given in group))
+            self.calls.append((kind, references, scalars))
+            places |= {id(given): (scalars, k) for k, given in enumerate(group)}
+        self._values = values
+        self._places = [places[id(given)] for given in values]
+
+    def takes(self, values: tuple[StartValue, ...]) -> bool:
+        """Whether these are values of the same variables, which it then takes over."""
+        if len(values) != len(self._values):
+            return False
+        changed = [
+            k for k, (a, b) in enumerate(zip(values, self._values, strict=True)) if a is not b
+        ]
+        if any(values[k].variable is not self._values[k].variable for k in changed):
+            return False
+        for k in changed:
+            scalars, place = self._places[k]
+            scalars[place] = _scalar(values[k])
+        self._values = values
+        return True
+
+
+def _scalar(given: StartValue) -> Any:
+    return given.value.encode() if isinstance(given.value, str) else given.value
 
 
 _DISCARDING = ("fmi2DoStep", "fmi2SetContinuousStates", "fmi2GetDerivatives")

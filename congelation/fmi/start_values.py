@@ -17,6 +17,10 @@ LARGEST_INTEGER = 2**31 - 1
 """An fmi2Integer has 32 bits."""
 
 
+KEPT_STARTS = 64
+"""Components whose start values are kept."""
+
+
 class StartValue(NamedTuple):
     """A variable and the value that it starts from, of the variable's own type."""
 
@@ -44,26 +48,38 @@ def resolve_start(
     InvalidInput
         An unknown name, a value of the wrong type or shape, a variable that cannot be set.
     """
+    # A study resolves the same names run after run, and nearly all values are those of the run
+    # before. What variable the name of a scalar stands for does not depend on its value.
+    key = description.sha256, tuple(start)
+    kept = _KEPT.get(key)
+    if kept is not None and _SCALARS.issuperset(map(type, start.values())):
+        return tuple(
+            known
+            if value is given
+            else StartValue(
+                known.variable,
+                _typed(known.variable, value, f"{place}, start value '{name}'"),
+            )
+            for (name, value), (given, known) in zip(start.items(), kept, strict=True)
+        )
     found: dict[str, StartValue] = {}
     for name, value in start.items():
-        # A study resolves the same parameters run after run, nearly all of them plain numbers.
-        known = description.variables.get(name)
-        if (
-            isinstance(value, float)
-            and known is not None
-            and known.type == "Real"
-            and known.settable
-            and math.isfinite(value)
-            and name not in found
-        ):
-            found[name] = StartValue(known, float(value))
-            continue
         here = f"{place}, start value '{name}'"
         for variable, scalar in _scalars(description, name, value, here):
             if variable.name in found:
                 raise InvalidInput(f"{here}: '{variable.name}' is given twice")
             found[variable.name] = StartValue(variable, _typed(variable, scalar, here))
+    if _SCALARS.issuperset(map(type, start.values())):
+        while len(_KEPT) >= KEPT_STARTS:
+            _KEPT.pop(next(iter(_KEPT)))
+        _KEPT[key] = tuple(zip(start.values(), found.values(), strict=True))
     return tuple(found.values())
+
+
+_SCALARS = {float, int, bool, str}
+
+_KEPT: dict[tuple[str, tuple[str, ...]], tuple[tuple[object, StartValue], ...]] = {}
+"""Scalar start values as they were given last, by FMU and names, and what became of them."""
 
 
 def _scalars(
@@ -84,8 +100,9 @@ def _scalars(
         raise InvalidInput(
             f"{place}: {amount(array.shape, 'value')} given, {amount(shape, 'value')} needed"
         )
+    first = _first_index(description, name)
     for index in np.ndindex(shape):
-        element = f"{name}[{','.join(str(i + 1) for i in index)}]"
+        element = f"{name}[{','.join(str(i + first) for i in index)}]"
         yield description.variable(element, place), array[index]
 
 
@@ -94,7 +111,8 @@ def _scalar_variable(description: Description, name: str, value: object, place: 
         return description.variables[name]
     shape = _shape(description, name)
     if shape and math.prod(shape) == 1:
-        return description.variables[f"{name}[{','.join('1' for _ in shape)}]"]
+        first = _first_index(description, name)
+        return description.variables[f"{name}[{','.join(str(first) for _ in shape)}]"]
     if shape:
         raise InvalidInput(
             f"{place}: {shown(value)} given, a list of {amount(shape, 'value')} needed"
@@ -129,8 +147,16 @@ def _groups(description: Description) -> dict[str, tuple[int, ...]]:
     return groups
 
 
+def _first_index(description: Description, name: str) -> int:
+    """From which number the elements of a vector count: 0 as in C where there is such an element,
+    else 1."""
+    found = (_indices(other) for other in description.variables)
+    return 0 if any(stem == name and 0 in index for stem, index in found) else 1
+
+
 def _shape(description: Description, name: str) -> tuple[int, ...]:
-    return _groups(description).get(name, ())
+    largest = _groups(description).get(name, ())
+    return tuple(size + 1 - _first_index(description, name) for size in largest)
 
 
 def _typed(variable: Variable, value: object, place: str) -> float | int | bool | str:
@@ -149,11 +175,13 @@ def _typed(variable: Variable, value: object, place: str) -> float | int | bool 
         known = ", ".join(f"'{name}' ({item})" for name, item in variable.items)
         raise InvalidInput(f"{place}: {shown(value)} is no item of the enumeration; valid: {known}")
     if variable.type == "String" and isinstance(value, str):
+        if "\0" in value:
+            raise InvalidInput(f"{place}: {value!a} has a zero, at which a text ends in C")
         return value
     if variable.type == "Boolean" and (isinstance(value, bool) or value in (0, 1)):
         return bool(value)
     if variable.type == "Integer" and isinstance(value, int) and not isinstance(value, bool):
-        if abs(value) > LARGEST_INTEGER:
+        if not -LARGEST_INTEGER - 1 <= value <= LARGEST_INTEGER:
             raise InvalidInput(f"{place}: {value} does not fit in 32 bits")
         return value
     is_number = isinstance(value, int | float) and not isinstance(value, bool)

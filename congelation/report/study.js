@@ -203,7 +203,8 @@ congelation.study = (() => {
   function fill(id, heads, lines) {
     const table = document.getElementById(id);
     const head = document.createElement("tr");
-    heads.forEach((h) => head.append(element("th", h, {scope: "col"})));
+    // A name may be broken after its dots: sine.amplitude.
+    heads.forEach((h) => head.append(element("th", h.replaceAll(".", ".\u200b"), {scope: "col"})));
     table.tHead.replaceChildren(head);
     table.tBodies[0].replaceChildren(...lines.slice(0, 200).map((line) => {
       const row = document.createElement("tr");

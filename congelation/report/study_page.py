@@ -216,7 +216,6 @@ def _counts(
             for variant in variants
             if not all(settled(study, run) for run in study.records if run.variant == variant)
         ]
-    others = "; the other variants in all" if len(rows) < len(variants) else ""
     yield '<div class="counts">'
     for name, values in axes.items():
         if not 1 < len(values) <= FEW:
@@ -233,8 +232,10 @@ def _counts(
                 cells.append(f"{sum(there)} of {len(there)}" if there else "–")
             lines.append((variant, cells))
         heads = [number(value) for value in values]
-        yield from table(heads, lines, f"How many runs {done}, by {names[name]}{others}")
+        yield from table(heads, lines, f"How many runs {done}, by {names[name]}")
     yield "</div>"
+    if len(rows) < len(variants):
+        yield f'<p class="note">The other variants {done} in all their runs.</p>'
 
 
 def _variant_controls(variants: Sequence[str]) -> Iterator[str]:

@@ -198,7 +198,10 @@ def _draw(
         axes[-1].set_xlim(start, stop)
     if legend and len(drawn) > 1:
         handles = [
-            Line2D([], [], color="black", linestyle=_style(variants, v), label=v) for v in variants
+            Line2D(
+                [], [], color="black", linestyle=_style(variants, v), label=v.replace("$", r"\$")
+            )
+            for v in variants
         ]
         columns = min(2, _columns(variants, width))
         figure.legend(handles=handles, loc="outside upper center", ncols=columns, frameon=False)

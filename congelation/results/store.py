@@ -321,6 +321,15 @@ class Store:
             os.link(temporary, self.database)
         temporary.unlink()
 
+    @contextmanager
+    def _reading(self) -> Iterator[sqlite3.Connection]:
+        """A connection that only reads; a damaged file is said to be one."""
+        with closing(self._reader()) as connection:
+            try:
+                yield connection
+            except sqlite3.Error as error:
+                raise InvalidInput(f"{self.database} cannot be read: {error}") from error
+
     def _reader(self) -> sqlite3.Connection:
         self._refuse_old()
         if not self.database.is_file():
@@ -338,14 +347,6 @@ class Store:
         except sqlite3.Error as error:
             raise InvalidInput(f"{self.database} cannot be read: {error}") from error
         return connection
-
-    @contextmanager
-    def _reading(self) -> Iterator[sqlite3.Connection]:
-        with closing(self._reader()) as connection:
-            try:
-                yield connection
-            except sqlite3.Error as error:
-                raise InvalidInput(f"{self.database} cannot be read: {error}") from error
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:

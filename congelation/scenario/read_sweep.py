@@ -50,6 +50,8 @@ def read_sweep(section: Section, reader: SettingsReader, variants: Mapping[str, 
                         "there, or name the variants that the axis is of: variants = [..]",
                     )
         given = axis.value(keys.AXIS["set"])
+        if twice := [name for name in given if given.count(name) > 1]:
+            raise axis.error("set", f"sets '{twice[0]}' twice; leave one of them out")
         if len(given) == len(names):
             spelled |= dict(zip(given, names, strict=True))
         if isinstance(found, RandomAxis):

@@ -81,6 +81,7 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
         "measured": measured,
         "warnings": (
             *_doubtful(resolved, document.file),
+            *_out_of_range(resolved, variants, document.file),
             *_past_the_end(metrics, experiment, given, document.file),
             *_forgotten(resolved, {*given, *left_open, *reader.driven}, document.file),
         ),
@@ -233,7 +234,7 @@ def _open(resolved: ResolvedSystem, driven: Mapping[str, str], names: Iterable[s
     """The scalar inputs that names stand for."""
     found: set[str] = set()
     for name in names:
-        for entry in resolved.recorded([name]):
+        for entry in resolved.columns([name], "input"):
             if entry.variable.causality != "input":
                 raise InvalidInput(f"'{name}' is of causality {entry.variable.causality}, no input")
             if link := driven.get(entry.name):
@@ -243,10 +244,36 @@ def _open(resolved: ResolvedSystem, driven: Mapping[str, str], names: Iterable[s
 
 
 def _doubtful(resolved: ResolvedSystem, place: str) -> Iterator[str]:
-    """A line for each connection whose units cannot be compared."""
-    for link in resolved.links:
+    """A line for each connection whose units or enumerations cannot be compared."""
+    for link in (*resolved.links, *resolved.discrete_links):
         if link.doubt:
             yield f"{place}: connection '{link.name}': {link.doubt}"
+
+
+def _out_of_range(
+    resolved: ResolvedSystem, variants: Iterable[Variant], place: str
+) -> Iterator[str]:
+    """A line for each start value that the FMU's own minimum or maximum excludes."""
+    given = [
+        (member, item.variable.name, item.value, f"component '{member.name}'")
+        for member in resolved.members
+        for item in member.start
+    ]
+    members = {member.name: member for member in resolved.members}
+    for variant in variants:
+        for setting, value in variant.settings.items():
+            owner, _, name = setting.partition(".")
+            if owner in members:
+                given.append((members[owner], name, value, f"variant '{variant.name}'"))
+    for member, name, value, where in given:
+        variable = member.description.variables[name]
+        if isinstance(value, bool | str):
+            continue
+        below = variable.least is not None and value < variable.least
+        if below or (variable.most is not None and value > variable.most):
+            bound = f"min = {variable.least:g}" if below else f"max = {variable.most:g}"
+            column = f"{member.name}.{name}"
+            yield f"{place}: {where}: '{column}' = {value:g}, where its FMU states {bound}"
 
 
 def _forgotten(resolved: ResolvedSystem, known: Collection[str], place: str) -> Iterator[str]:

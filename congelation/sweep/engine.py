@@ -126,6 +126,7 @@ def run(
     >>> [run.variant for run in results.runs]
     ['Controller 1', 'Controller 2']
     """
+    place = Local(workers)
     found = read(scenario)
     _warn(found)
     plan = plan_study(
@@ -136,7 +137,7 @@ def run(
         trust=trust,
         timeout=timeout,
     )
-    return carry_out(plan, Local(workers), progress or notebook_progress())
+    return carry_out(plan, place, progress or notebook_progress())
 
 
 @checked
@@ -189,6 +190,7 @@ def sweep(
     >>> len(cg.sweep(starter / "scenario.toml", out=folder / "swept").runs)
     12
     """
+    place = Local(workers) if scheduler is None else Cluster(scheduler, ship=ship)
     found = read(scenario)
     _warn(found)
     plan = plan_study(
@@ -200,7 +202,6 @@ def sweep(
         verify=verify,
         timeout=timeout,
     )
-    place = Local(workers) if scheduler is None else Cluster(scheduler, ship=ship)
     return carry_out(plan, place, progress or notebook_progress())
 
 

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 
 from congelation.cosim.bands import variable_of
 from congelation.cosim.error_bars import trusted
+from congelation.cosim.experiment import Experiment
 from congelation.cosim.master import perform
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
 from congelation.cosim.result import Result
 from congelation.errors import CongelationError, InvalidInput
 from congelation.fmi.calls import CALLS
-from congelation.fmi.description import describe
+from congelation.fmi.description import Description, describe
 from congelation.fmi.library import KEPT
 from congelation.results.identity import NUMERICS_VERSION
 from congelation.results.record import Outcome, Steps, Trajectory
@@ -105,6 +107,19 @@ class Job:
     trust: bool | str = False
     fmu_log: Path | None = None
 
+    def recorded(self, experiment: Experiment) -> Experiment:
+        """An experiment of one of its runs, which records no more than is kept or measured."""
+        measured = self.scenario.measured
+        if self.trajectories or measured is None:
+            return experiment
+        if experiment is self.scenario.experiment:  # as in nearly all runs
+            return self._recorded
+        return replace(experiment, record=measured)
+
+    @cached_property
+    def _recorded(self) -> Experiment:
+        return replace(self.scenario.experiment, record=self.scenario.measured)
+
 
 def execute(
     job: Job, task: Task, pool: SlavePool, progress: Callable[[float], None]
@@ -153,15 +168,14 @@ def _simulated(
 ) -> tuple[Outcome, Trajectory]:
     scenario = job.scenario
     case = scenario.case(task.settings)
-    found = {c.name: describe(c.fmu).sha256 for c in case.system.components}
+    descriptions = {c.name: describe(c.fmu) for c in case.system.components}
+    found = {name: description.sha256 for name, description in descriptions.items()}
     if job.numerics != NUMERICS_VERSION or found != job.fmus:
         raise InvalidInput(
             "congelation or the FMUs are not those that planned the study; install the same "
             "version everywhere, leave both alone meanwhile, and --resume"
         )
-    experiment = case.experiment
-    if not job.trajectories and scenario.measured is not None:
-        experiment = replace(experiment, record=scenario.measured)
+    experiment = job.recorded(case.experiment)
     length = experiment.stop_time - experiment.start_time
     if task.fraction < 1.0:
         experiment = replace(experiment, stop_time=experiment.start_time + task.fraction * length)
@@ -189,11 +203,11 @@ def _simulated(
         )
     CALLS.clear()  # what ends the process from here on is no FMU
     steps = Steps.between(points.times() if apart else result.time) if job.trajectories else None
-    units = _units(case, result.names)
+    units = _units(descriptions, result.names)
     kept = Trajectory(result.time, result.names, result.values, units, steps)
     if not result.whole:  # a metric of half a run would pass for one of a whole run
         return _outcome(result), kept
-    measured_case = replace(case, experiment=experiment)
+    measured_case = Case(case.system, experiment)
     metrics = measure(scenario.metrics, measured_case, points.with_rows(kept) if apart else kept)
     margins = [metrics[m.name] for m in scenario.metrics if m.metric == "lyapunov"]
     deviations = compare(expected, kept) if expected is not None else ()
@@ -229,8 +243,7 @@ def _outcome(result: Result) -> Outcome:
     )
 
 
-def _units(case: Case, columns: Sequence[str]) -> dict[str, str]:
-    descriptions = {c.name: describe(c.fmu) for c in case.system.components}
+def _units(descriptions: Mapping[str, Description], columns: Sequence[str]) -> dict[str, str]:
     parts = {column: variable_of(column).partition(".") for column in columns}
     return {
         column: descriptions[name].variables[variable].unit

@@ -28,13 +28,12 @@ from typing import Any, cast, final
 import psutil
 from pebble import ProcessExpired, ProcessFuture, ProcessPool
 
-from congelation.errors import CongelationError, InvalidInput
+from congelation.errors import CongelationError, require_count
 from congelation.fmi.calls import noted_call
 from congelation.places import StoreError
 from congelation.results.record import Outcome
 from congelation.sweep.execute import ERROR, TIMED_OUT, WORKER_DIED, Job, Task, execute
 from congelation.sweep.process import (
-    NO_PROCESS,
     PLACE,
     SINCE,
     TERMINATES,
@@ -116,8 +115,7 @@ class Local(Workers):
     _failed_starts: int = field(default=0, init=False, repr=False)
 
     def __post_init__(self) -> None:
-        if self.size < 1:
-            raise InvalidInput(f"workers = {self.size}: at least 1 is needed")
+        require_count(self.size, "workers")
 
     def start(self, job: Job) -> None:
         context = SpawnContext()
@@ -173,17 +171,23 @@ class Local(Workers):
             raise CongelationError(
                 "the worker processes end before they begin a run; what they wrote above says why"
             )
-        try:
-            active = self._pool.active
-        except BrokenProcessPool as error:
-            raise CongelationError(f"{NO_PROCESS}: {error.__cause__ or error}") from error
-        if self._batches and not active:  # a process died in between two tasks
+        if self._batches and not self._is_active():  # a process died in between two tasks
             for number in list(self._batches):
                 found += map(Unfinished, self._dropped(number))
             self._failed_starts += 1
             self.stop()
             self.start(self._job)
         return found
+
+    def _is_active(self) -> bool:
+        """Whether the pool works; a process that cannot be started is the end of it."""
+        try:
+            return bool(self._pool.active)
+        except BrokenProcessPool as error:
+            cause: BaseException = error
+            while (deeper := cause.__cause__ or cause.__context__) is not None:
+                cause = deeper
+            raise CongelationError(f"a worker process cannot be started: {cause}") from error
 
     def finish(self) -> list[Remark]:
         found: list[Event] = []

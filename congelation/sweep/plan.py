@@ -159,7 +159,7 @@ def plan_study(
         if status not in FAILURES:
             raise InvalidInput(f"'{status}' is no status to retry; valid: {', '.join(FAILURES)}")
     if timeout is not None and not 0.0 < timeout < math.inf:
-        raise InvalidInput(f"timeout = {timeout:g}: give a positive number of seconds")
+        raise InvalidInput(f"timeout = {timeout} is not valid; give a positive number of seconds")
     if swept and scenario.sweep is None:
         raise InvalidInput(f"{scenario.place}: no [sweep]; give its axes, or use: congelation run")
     store = Store(folder)

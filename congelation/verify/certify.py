@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from congelation.arguments import checked
-from congelation.errors import InvalidInput, counted
+from congelation.errors import InvalidInput, counted, require_count
 from congelation.export.assumptions import HORIZON, spec_assumptions, structured
 from congelation.export.spec import Spec, read_spec
 from congelation.scenario.load import load_scenario
@@ -213,6 +213,9 @@ def certify(
     """
     if umax is not None and not 0.0 < umax < math.inf:
         raise InvalidInput(f"umax = {umax!r} is not valid; give a positive number")
+    require_count(samples, "samples")
+    if seed < 0:
+        raise InvalidInput(f"seed = {seed} is not valid; give a whole number that is not negative")
     found = [certify_design(design, samples, seed) for design in designs_of(what)]
     if umax is None:
         return tuple(found)
@@ -338,7 +341,7 @@ def _of_scenario(scenario: Scenario) -> list[Design]:
             found = reference(_alone(case))
             remarks = case_assumptions(case)
         except InvalidInput as error:
-            raise InvalidInput(f"{scenario.file}: {variant.name}: {error}") from error
+            raise InvalidInput(f"{scenario.place}: {variant.name}: {error}") from error
         stop = case.experiment.stop_time
         radius = _radius(found.loop, found.profiles, found.offsets, stop)
         bounds = [

@@ -125,10 +125,16 @@ def measure(
     specs: Sequence[MetricSpec], case: Case, trajectory: Trajectory
 ) -> Mapping[str, float | None]:
     """The metrics of a run that reached its stop time, by name; None where one has no answer."""
-    return {spec.name: _value(spec, case, trajectory) for spec in specs}
+    groups = {
+        of: trajectory.select(trajectory.group(of))
+        for of in dict.fromkeys(spec.of for spec in specs if not metric(spec.metric).loop)
+    }
+    return {spec.name: _value(spec, case, trajectory, groups) for spec in specs}
 
 
-def _value(spec: MetricSpec, case: Case, trajectory: Trajectory) -> float | None:
+def _value(
+    spec: MetricSpec, case: Case, trajectory: Trajectory, groups: Mapping[str, Floats]
+) -> float | None:
     found = metric(spec.metric)
     time, columns = trajectory.time, trajectory.columns
     value: float | None
@@ -136,6 +142,5 @@ def _value(spec: MetricSpec, case: Case, trajectory: Trajectory) -> float | None
         function = LOOP_METRICS.get(found.name) or found.function
         value = function(case, time, columns, trajectory.values, **spec.options)
     else:
-        group = trajectory.select(trajectory.group(spec.of))
-        value = found.function(time, group, **spec.options)
+        value = found.function(time, groups[spec.of], **spec.options)
     return None if value is None or math.isnan(value) else value

@@ -396,6 +396,11 @@ def _check_loop(
     driven: dict[str, dict[str, str]] = {block.name: {} for block in blocks}
     given, following = set(), ""
     for link in system.resolve().links:
+        if link.converts:
+            raise InvalidInput(
+                f"connection '{link.name}' converts units, which the equations do not: give "
+                "both blocks one unit"
+            )
         source, _, target = link.name.partition(" -> ")
         block, _, output = source.partition(".")
         if block not in driven or target not in outside:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from benchmarks.coupling import coverage, work
 from benchmarks.coupling.__main__ import WORK, sources
 from benchmarks.coupling.parts import build
-from benchmarks.coupling.problems import Problem, problem
+from benchmarks.coupling.problems import problem
 
 
 @pytest.fixture(scope="module")
@@ -37,9 +38,9 @@ def test_error_bars_of_a_problem(parts: Path) -> None:
 
 
 def test_engines_of_others_approach_the_solution(parts: Path, tmp_path: Path) -> None:
-    found: Problem = problem("two_masses_force")
+    case = work.of_problem(problem("two_masses_force"), parts)
     methods = tuple(m for m in work.METHODS if m.engine in ("fmpy_loop", "ecco"))
-    points, failures = work.measure(parts, found, methods)
+    points, failures = work.measure(case, methods)
     assert not failures
     held = [point.error for point in points if point.method == "FMPy loop"]
     assert held[0] > held[1] > held[2] > held[3] > 0.01
@@ -50,3 +51,14 @@ def test_engines_of_others_approach_the_solution(parts: Path, tmp_path: Path) ->
     work.draw(points, tmp_path / "diagram.png")
     assert (tmp_path / "diagram.png").stat().st_size > 10_000
     assert len(work.table(points)) == 2 + 4
+
+
+def test_a_figure_is_measured_with_its_native_fmus() -> None:
+    case = replace(work.of_figure("fig2", 0.05), steps=(1e-3,))
+    methods = tuple(m for m in work.METHODS if m.label in ("derivative", "FMPy loop"))
+    points, failures = work.measure(case, methods)
+    assert not failures
+    errors = {point.method: point.error for point in points}
+    assert errors["derivative"] < errors["FMPy loop"] < 1.0
+    assert errors["monolithic, LSODA"] < 1e-8
+    assert all(point.problem == "Fig. 2, Controller 1" for point in points)

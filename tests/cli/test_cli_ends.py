@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
+import shlex
+import signal
 import subprocess
 import sys
 import threading
@@ -17,7 +19,7 @@ from congelation.results.results import open_results
 from congelation.sweep.local import Local
 from tests.cosim.c_fmus import SOURCES, plain_fmu
 from tests.scenarios import FMUS, ROOT, SCALAR, write
-from tests.studies import COMMAND, children, environment, process
+from tests.studies import COMMAND, children, environment, process, start
 from tests.studies import command as congelation
 from tests.studies import last_line as one_line
 
@@ -348,3 +350,24 @@ def test_what_is_only_described_is_not_loaded(tmp_path: Path) -> None:
         assert not mark.exists(), arguments
     assert congelation("run", file, "--out", tmp_path / "out").returncode == 0
     assert mark.exists()
+
+
+def test_a_closed_stdout_is_no_error(tmp_path: Path) -> None:
+    """Whoever started the command may have closed it, as `>&-` does."""
+    line = f"exec {shlex.join(map(str, COMMAND))} examples {tmp_path} >&-"
+    done = subprocess.run(["sh", "-c", line], capture_output=True, text=True, env=environment())
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_a_scheduler_ends_a_run_like_ctrl_c(tmp_path: Path, number: signal.Signals) -> None:
+    long = write(tmp_path, SCALAR, ("stop_time = 1.0", "stop_time = 1e6"))
+    run = start("run", long, "--out", tmp_path / "out", "--progress", "json")
+    assert run.stdout is not None
+    assert run.stderr is not None
+    run.stderr.readline()  # it is under way
+    os.kill(run.pid, number)
+    _, errors = run.communicate(timeout=60)
+    assert run.returncode == 130
+    assert "Traceback" not in errors
+    assert errors.splitlines()[-1] == "congelation: interrupted after 0 of 2 runs"

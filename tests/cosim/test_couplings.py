@@ -16,6 +16,7 @@ from congelation.cosim import (
     simulate,
 )
 from congelation.errors import InvalidInput
+from tests.scenarios import FMUS
 
 from .monolithic import order, solution
 
@@ -45,6 +46,27 @@ def error(system, solution_of=solution, **kwargs):
 def test_the_error_falls_with_the_order(loop, coupling, options, steps, expected):
     errors = [error(loop(), coupling=coupling, options=options, step=h)[0] for h in steps]
     assert order(steps, errors) == pytest.approx(expected, abs=0.25)
+
+
+def test_derivatives_that_are_connected_count_where_inputs_are_held():
+    """The FMUs extrapolate by them: of second order in place of first."""
+    blocks = [("plant", "ScalarPlant", {"x0": [1.0]}), ("controller", "ScalarController", {})]
+    components = tuple(
+        Component(name, FMUS / "native" / f"{fmu}.fmu", start) for name, fmu, start in blocks
+    )
+    values = ["plant.x -> controller.x", "controller.u -> plant.u"]
+    slopes = ["plant.der(x) -> controller.der(x)", "controller.der(u) -> plant.der(u)"]
+
+    def end(links, **kwargs):
+        system = System(components, tuple(map(Connection.parse, links)))
+        result = simulate(system, stop_time=1.0, record=["plant.x"], **kwargs)
+        return result.values[-1, 0]
+
+    exact = end(values, coupling="hermite", tolerance=1e-9)
+    for links, expected in ((values, 1.0), ([*values, *slopes], 2.0)):
+        steps = (0.02, 0.01)
+        errors = [abs(end(links, coupling="jacobi", step=h) - exact) for h in steps]
+        assert order(steps, errors) == pytest.approx(expected, abs=0.25)
 
 
 def test_of_order_six_the_first_step_leaves_order_five(loop):

@@ -5,7 +5,7 @@ import itertools
 
 import pytest
 
-from congelation.cosim import Component, Connection, Sampled, Status, System, simulate
+from congelation.cosim import Component, Connection, Output, Sampled, Status, System, simulate
 
 COUPLINGS = ["jacobi", "gauss_seidel", "derivative", Sampled(sample_time=1.0)]
 
@@ -112,3 +112,17 @@ def test_a_loop_through_real_and_boolean_values_that_does_not_settle(fmus):
     )
     settled = run(fmus, "de", links, record=["e.w"], d={"level": 0.5})
     assert settled.values.tolist() == [[0.0]] * 4
+
+
+@pytest.mark.parametrize("coupling", ["jacobi", "derivative"])
+def test_a_counter_is_held_between_the_points_on_a_grid(fmus, coupling):
+    """Its numbers are whole on every row, and those of the communication point before."""
+    result = simulate(
+        System((Component("s", fmus / "TestDiscrete.fmu"),), (Connection("s.n_out", "s.n_in"),)),
+        stop_time=3.0,
+        step=1.0,
+        coupling=coupling,
+        output=Output(interval=0.25),
+        record=["s.n_out"],
+    )
+    assert result.column("s.n_out").tolist() == [0] * 4 + [1] * 4 + [2] * 4 + [3]

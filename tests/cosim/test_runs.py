@@ -19,6 +19,7 @@ from congelation.cosim import (
     perform,
     simulate,
 )
+from congelation.cosim.coupling import Hermite
 from congelation.cosim.experiment import step_count
 from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
@@ -255,10 +256,10 @@ def test_progress_goes_from_the_start_to_one(loop):
     ("kwargs", "message"),
     [
         ({"stop_time": 0.0, "step": 0.1}, "must be finite and after start_time"),
-        ({"stop_time": math.inf, "step": 0.1}, "must be finite"),
+        ({"stop_time": math.inf, "step": 0.1}, "stop_time = inf is not valid; give a finite"),
         ({"stop_time": 1.0}, "give a communication step or a tolerance"),
         ({"stop_time": 1.0, "step": -0.1}, "step -0.1 must be positive"),
-        ({"stop_time": 1.0, "step": math.nan}, "must be positive"),
+        ({"stop_time": 1.0, "step": math.nan}, "step = nan is not valid; give a finite"),
         ({"stop_time": 1.0, "step": 1e-300}, "step 1e-300 is too small from 0 to 1"),
         ({"stop_time": 1.0, "tolerance": 1e-3, "step": 1e-17}, "too small"),
         ({"start_time": 1e17, "stop_time": 1e17 + 1e4, "step": 10.0}, "it is at least 2.6e+02"),
@@ -270,7 +271,25 @@ def test_progress_goes_from_the_start_to_one(loop):
             {"stop_time": 1.0, "step": 0.1, "coupling": Sampled(1e-300)},
             "sample_time 1e-300 is too small",
         ),
-        ({"stop_time": 1.0, "step": 0.1, "max_steps": 0}, "max_steps 0: at least 1"),
+        (
+            {"stop_time": 1.0, "step": 0.1, "max_steps": 0},
+            "max_steps = 0 is not valid; give a whole",
+        ),
+        ({"stop_time": 1.0, "step": 0.1, "max_steps": 1.5}, "max_steps = 1.5 is not valid"),
+        ({"stop_time": 1.0, "step": 0.1, "max_steps": True}, "max_steps = true is not valid"),
+        ({"stop_time": None, "step": 0.1}, "stop_time = None is not valid; give a number"),
+        ({"stop_time": 10**400, "step": 0.1}, "is not valid; give a finite number"),
+        ({"stop_time": 1.0, "step": 0.1, "coupling": None}, "coupling = None is not valid; give"),
+        ({"stop_time": 1.0, "step": 0.1, "coupling": Hermite}, "coupling = the class Hermite"),
+        (
+            {"stop_time": 1.0, "step": 0.1, "output": 0.5},
+            "output = 0.5 is not valid; give",
+        ),
+        ({"stop_time": 1.0, "step": 0.1, "output": ["x"]}, "output = ['x'] is not valid"),
+        ({"stop_time": 1.0, "step": 0.1, "record": "plant.x"}, "record = 'plant.x' is not valid"),
+        ({"stop_time": 1.0, "step": 0.1, "record": [1]}, "record = [1] is not valid"),
+        ({"stop_time": 1.0, "step": 0.1, "options": "x"}, "options = 'x' is not valid"),
+        ({"stop_time": 1.0, "step": 0.1, "slave_tolerance": -1.0}, "slave_tolerance -1 must be"),
         ({"stop_time": 1.0, "tolerance": 0.0}, "must lie between 0 and 1"),
         ({"stop_time": 1.0, "step": 0.1, "coupling": "jakobi"}, "did you mean 'jacobi'"),
         (
@@ -304,12 +323,12 @@ def test_options_belong_to_a_name(loop):
         ("hermite", {"max_iterations": 0}, "max_iterations 0"),
         ("hermite", {"tolerance": -1.0}, "must lie between 0 and 1"),
         ("hermite", {"tolerance": math.inf}, "must lie between 0 and 1"),
-        ("hermite", {"iterations": 1.5}, "iterations = 1.5: an integer is needed"),
-        ("hermite", {"iterations": True}, "iterations = True: an integer is needed"),
+        ("hermite", {"iterations": 1.5}, "iterations = 1.5 is not valid; give an integer"),
+        ("hermite", {"iterations": True}, "iterations = true is not valid; give an integer"),
         ("hermite", {"order": 5}, "order 5; valid: 4, 6"),
-        ("hermite", {"order": "6"}, "order = '6': an integer is needed"),
-        ("hermite", {"acceleration": 1}, "a text is needed"),
-        ("sampled", {"sample_time": "0.1"}, "sample_time = '0.1': a number is needed"),
+        ("hermite", {"order": "6"}, "order = '6' is not valid; give an integer"),
+        ("hermite", {"acceleration": 1}, "acceleration = 1 is not valid; give a text"),
+        ("sampled", {"sample_time": "0.1"}, "sample_time = '0.1' is not valid; give a number"),
         ("sampled", {"sample_time": 0.1, "delay": 2}, "delay 2"),
         ("hermite", {"acceleration": "magic"}, "broyden"),
         ("derivative", {"sequence": "zeidel"}, "gauss_seidel"),

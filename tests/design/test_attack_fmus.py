@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from congelation.cosim import simulate
 from congelation.design.attack_fmus import attack_fmus
-from congelation.design.found_scenario import write_finds
+from congelation.design.attack_problem import Varied
+from congelation.design.found_scenario import driven, write_finds
+from congelation.design.shooting import Cells
 from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Scenario
@@ -50,6 +55,39 @@ def test_input_and_parameter_that_do_most_harm_are_played_again(
     records = run(played, out=tmp_path / "played").runs
     (again,) = (r.metrics["peak_x"] for r in records if r.variant == "Controller 2")
     assert again == pytest.approx(find.value, rel=1e-3)
+
+
+@pytest.mark.parametrize("folder", ["", "native"])
+def test_a_table_drives_an_input_from_fmus_of_both_kinds(
+    scenario: Scenario, tmp_path: Path, folder: str
+) -> None:
+    """theta + dtheta goes from 0 to 2 where the table jumps: x' = -(theta + dtheta) x + u."""
+    varied = Varied("plant", "dtheta[1]", -1.0, 2.0, True)
+    cells = Cells(np.array([0.0, 0.5, 1.0]), np.array([[-1.0], [2.0]]))
+    source = FMUS / folder / "ScalarPlant.fmu"
+    system, _ = driven(scenario.system, cells, [varied], source, tmp_path, "find")
+    result = simulate(
+        system, stop_time=1.0, tolerance=1e-6, record=["plant.dtheta[1]", "plant.theta[1]"]
+    )
+    assert result.completed
+    before, after = (result.values[result.time < 0.5], result.values[result.time > 0.5])
+    assert set(before[:, 0]) == {-1.0}
+    assert set(after[:, 0]) == {2.0}
+
+
+def test_runs_that_fail_are_counted_and_said(scenario: Scenario) -> None:
+    """epsilon <= 0 is refused by the FMU: half of the bounds say nothing."""
+    found = attack_fmus(
+        scenario,
+        {"controller.epsilon": (-1.0, 1.0)},
+        objectives=["peak_x"],
+        variants=["Controller 1"],
+        effort=0.05,
+        source=SOURCE,
+    )
+    (note,) = found.notes
+    assert re.match(r"Controller 1: peak_x: \d+ of \d+ runs did not reach the stop time", note)
+    assert "epsilon" in note
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from tests.scenarios import ROOT
 def test_examples_are_those_of_the_checkout(tmp_path):
     files = copy_examples(tmp_path)
     for kind in ("specs", "scenarios"):
-        for source in (ROOT / kind).glob("*.toml"):
+        for source in (path for path in (ROOT / kind).iterdir() if path.is_file()):
             assert (tmp_path / kind / source.name) in files
             assert (tmp_path / kind / source.name).read_bytes() == source.read_bytes()
     assert copy_examples(tmp_path) == files

@@ -164,6 +164,12 @@ KEYS = (
         2,
         r"\d values given, 1 value needed",
     ),
+    Mutation(
+        "text with a zero",
+        _to("x0 = [1.0]", lambda r: f'"profile[1].table.file" = "{word(r)}\\u0000"'),
+        2,
+        r"has a zero, at which a text ends in C",
+    ),
     Mutation("start type", _to("x0 = [1.0]", lambda r: f"x0 = {no_number(r)}"), 2, r"x0"),
     Mutation(
         "gain",
@@ -514,6 +520,51 @@ SYSTEMS = (
         0,
         same="metric.peak_x",
         entry="resources/plant.ssv",
+    ),
+    Mutation(
+        "a parameter twice",
+        _to(
+            "<ssv:Parameters>",
+            lambda r: (
+                f'<ssv:Parameters><ssv:Parameter name="x0[1]"><ssv:Real value="{number(r)!r}"/>'
+                "</ssv:Parameter>"
+            ),
+        ),
+        2,
+        r"component 'plant': parameter 'x0\[1\]' is given twice in one set",
+        entry="resources/plant.ssv",
+    ),
+    Mutation(
+        "another SSP",
+        _to('version="1.0"', lambda r: f'version="{r.randint(2, 9)}.0"'),
+        2,
+        r"of SSP \d\.0; SSP 1\.0 is needed",
+    ),
+    Mutation(
+        "by model exchange",
+        _to('"CoSimulation"', lambda r: '"ModelExchange"'),
+        2,
+        r"component 'plant' is to be run by model exchange",
+    ),
+    Mutation(
+        "another direction",
+        _to('kind="input"', lambda r: 'kind="output"'),
+        2,
+        r"the connector '\w+' is an output, the variable of the FMU an input",
+    ),
+    Mutation(
+        "a binding with values of its own",
+        _to(
+            '<ssd:ParameterBinding source="resources/plant.ssv"/>',
+            lambda r: (
+                '<ssd:ParameterBinding source="resources/plant.ssv"><ssd:ParameterValues>'
+                '<ssv:ParameterSet xmlns:ssv="http://ssp-standard.org/SSP1/'
+                f'SystemStructureParameterValues" version="1.0" name="{word(r)}">'
+                "<ssv:Parameters/></ssv:ParameterSet></ssd:ParameterValues></ssd:ParameterBinding>"
+            ),
+        ),
+        2,
+        r"a binding with the source 'resources/plant\.ssv' and with values of its own",
     ),
     Mutation(
         "parameter of none",

@@ -147,7 +147,7 @@ def test_shipped_fmus_say_which_inputs_are_left_alone(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("controller.y", "open: record 'controller.y': "),
+        ("controller.y", "open: input 'controller.y': "),
         ("plant.x", "open: 'plant.x' is of causality output, no input"),
         ("plant.u", "open: 'plant.u' is driven by 'controller.u -> plant.u'; leave one of them"),
     ],

@@ -240,9 +240,12 @@ def test_a_refusal_names_its_component_once(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"workers": 0}, "workers = 0: at least 1 is needed"),
-        ({"timeout": -1.0}, "timeout = -1: give a positive number of seconds"),
-        ({"timeout": float("nan")}, "timeout = nan: give a positive number of seconds"),
+        ({"workers": 0}, "workers = 0 is not valid; give a whole number of at least 1"),
+        ({"timeout": -1.0}, "timeout = -1.0 is not valid; give a positive number of seconds"),
+        (
+            {"timeout": float("nan")},
+            "timeout = nan is not valid; give a positive number of seconds",
+        ),
         ({"out": ""}, "out = '' names no folder; give one, '.' being this one"),
     ],
 )

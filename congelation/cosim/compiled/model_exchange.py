@@ -28,12 +28,28 @@ from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.recording import Rows
 
-__all__ = ["CompiledIntegrator", "CompiledRates"]
+__all__ = ["CompiledIntegrator", "CompiledRates", "method_arrays"]
 
 Floats = npt.NDArray[np.float64]
 
 VISITS = 1024
 """Times between steps at which rows are asked for, that are handed over at once."""
+
+
+def method_arrays(n: int) -> dict[str, Floats]:
+    """The coefficients of DOP853 and its room for n states, by their fields of `Integrator`."""
+    from scipy.integrate import DOP853  # which no other coupling waits for
+
+    return {
+        **{
+            name: np.ascontiguousarray(getattr(DOP853, name.upper()))
+            for name in ("A", "B", "C", "D", "E3", "E5", "A_extra", "C_extra")
+        },
+        **{name: np.zeros(n) for name in ("x", "x_old", "x_new")},
+        "K": np.zeros(16 * n),
+        "F": np.zeros(7 * n),
+        "work": np.zeros(2 * n),
+    }
 
 
 class CompiledRates:
@@ -144,8 +160,6 @@ class CompiledIntegrator(Compiled):
         stepper: ModelExchangeStepper,
         tolerance: float,
     ) -> None:
-        from scipy.integrate import DOP853
-
         super().__init__(ensemble, rows, exchange, False, stop)
         self.rates = CompiledRates(stepper)
         n = len(stepper.nominal)
@@ -154,27 +168,10 @@ class CompiledIntegrator(Compiled):
         fields.Y_before, fields.n_Y = self._address(np.zeros(len(ensemble.Y))), len(ensemble.Y)
         fields.leaves = stepper.leaves
         fields.nominal = self._address(stepper.nominal)
-        for name, table in (
-            ("A", DOP853.A),
-            ("B", DOP853.B),
-            ("C", DOP853.C),
-            ("E3", DOP853.E3),
-            ("E5", DOP853.E5),
-            ("D", DOP853.D),
-            ("A_extra", DOP853.A_EXTRA),
-            ("C_extra", DOP853.C_EXTRA),
-        ):
-            setattr(fields, name, self._address(np.ascontiguousarray(table)))
-        self._x = np.zeros(n)
-        fields.x = self._address(self._x)
-        for name, size in (
-            ("x_old", n),
-            ("x_new", n),
-            ("K", 16 * n),
-            ("F", 7 * n),
-            ("work", 2 * n),
-        ):
-            setattr(fields, name, self._address(np.zeros(size)))
+        arrays = method_arrays(n)
+        for name, array in arrays.items():
+            setattr(fields, name, self._address(array))
+        self._x = arrays["x"]
         self._visits = np.zeros(0)
         self._within = self.library.integrator_states
         self._within.argtypes = [

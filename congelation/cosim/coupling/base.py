@@ -20,7 +20,15 @@ from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.errors import InvalidInput
 
-__all__ = ["AdaptiveStepper", "Coupling", "Stepper", "Trial", "Watch", "refuse_tolerance"]
+__all__ = [
+    "AdaptiveStepper",
+    "Coupling",
+    "Stepper",
+    "StepsOnce",
+    "Trial",
+    "Watch",
+    "refuse_tolerance",
+]
 
 Floats = npt.NDArray[np.float64]
 S = TypeVar("S")
@@ -43,12 +51,15 @@ class Trial(NamedTuple, Generic[S]):
         The error falls with this power of the step.
     worst : int
         The link of the largest error.
+    missed : array, shape (L,), or None
+        The distance of each link from what was predicted, where inputs are.
     """
 
     state: S
     error: float
     order: int
     worst: int
+    missed: Floats | None = None
 
 
 class Stepper(ABC, Generic[S]):
@@ -149,10 +160,10 @@ class Coupling(ABC):
     """
 
     name: ClassVar[str]
-    needs_derivatives: ClassVar[bool]
-    lands_on_events: ClassVar[bool]
-    takes_tolerance: ClassVar[bool]
-    latches: ClassVar[bool]
+    needs_derivatives: ClassVar[bool] = False
+    lands_on_events: ClassVar[bool] = False
+    takes_tolerance: ClassVar[bool] = False
+    latches: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         check_fields(self, "")
@@ -172,6 +183,20 @@ class Coupling(ABC):
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
     ) -> Stepper[Any]:
         """This coupling at work on `ensemble`; an AdaptiveStepper where it takes a tolerance."""
+
+
+class StepsOnce(Coupling):
+    """What the couplings have in common that make every step once, at the points that they get."""
+
+    @property
+    def rolls_back(self) -> bool:
+        """No step is repeated."""
+        return False
+
+    @property
+    def periods(self) -> Mapping[str, float]:
+        """None."""
+        return {}
 
 
 def refuse_tolerance(coupling: Coupling, tolerance: float | None) -> None:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.coupling.base import AdaptiveStepper, Coupling, Trial, Watch
+from congelation.cosim.coupling.base import AdaptiveStepper, StepsOnce, Trial, Watch
 from congelation.cosim.coupling.points import LinkReader, Points
 from congelation.cosim.coupling.polynomial import hermite, product
 from congelation.cosim.ensemble import Ensemble
@@ -32,7 +31,7 @@ FIRST_CHANGE = 1e-2
 
 
 @dataclass(frozen=True)
-class Derivative(Coupling):
+class Derivative(StepsOnce):
     """Inputs are extrapolated from their value and derivative at the step's start.
 
     Order 2. The derivative is the source's der(.) output, or that of fmi2GetRealOutputDerivatives,
@@ -66,7 +65,6 @@ class Derivative(Coupling):
     needs_derivatives: ClassVar[bool] = True
     lands_on_events: ClassVar[bool] = True
     takes_tolerance: ClassVar[bool] = True
-    latches: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -74,16 +72,6 @@ class Derivative(Coupling):
             raise InvalidInput(f"sequence '{self.sequence}'; valid: {', '.join(SEQUENCES)}")
         if self.control not in CONTROLS:
             raise InvalidInput(f"control '{self.control}'; valid: {', '.join(CONTROLS)}")
-
-    @property
-    def rolls_back(self) -> bool:
-        """No step is repeated."""
-        return False
-
-    @property
-    def periods(self) -> Mapping[str, float]:
-        """None."""
-        return {}
 
     def stepper(
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None
@@ -201,7 +189,8 @@ class DerivativeStepper(AdaptiveStepper[Points]):
         distance = np.abs(w[0] + (end - time) * w[1] - values)
         relative = self._reader.relative(distance, values)
         worst = int(relative.argmax())
-        return Trial(after, float(relative[worst]), ORDER, worst)
+        missed = distance if self.predicts else None
+        return Trial(after, float(relative[worst]), ORDER, worst, missed)
 
     def _step(self, state: Points, time: float, end: float) -> tuple[Points, Floats]:
         """The state at the end, and w = (v0, d0, v1, d1), shape (4, L), of which the first two

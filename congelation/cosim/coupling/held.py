@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
-from congelation.cosim.coupling.base import Coupling, Stepper, Watch
+from congelation.cosim.coupling.base import Coupling, Stepper, StepsOnce, Watch
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange, settle_discrete
 from congelation.errors import InvalidInput
@@ -26,27 +26,8 @@ TIME_ROUNDING = 1e-9
 """A point this near to a sampling instant, in sample times, is taken for it."""
 
 
-class _Held(Coupling):
-    """What Jacobi and GaussSeidel have in common."""
-
-    needs_derivatives: ClassVar[bool] = False
-    lands_on_events: ClassVar[bool] = False
-    takes_tolerance: ClassVar[bool] = False
-    latches: ClassVar[bool] = False
-
-    @property
-    def rolls_back(self) -> bool:
-        """No step is repeated."""
-        return False
-
-    @property
-    def periods(self) -> Mapping[str, float]:
-        """None."""
-        return {}
-
-
 class _HeldStepper(Stepper[None]):
-    """The same at work: the state is Y alone."""
+    """Jacobi and GaussSeidel at work: the state is Y alone."""
 
     def __init__(self, ensemble: Ensemble) -> None:
         self._ensemble = ensemble
@@ -71,7 +52,7 @@ class _HeldStepper(Stepper[None]):
 
 
 @dataclass(frozen=True)
-class Jacobi(_Held):
+class Jacobi(StepsOnce):
     """Every slave steps with the values that its inputs had at the step's start; then all outputs
     are read, and copied to the inputs.
 
@@ -125,7 +106,7 @@ class JacobiStepper(_HeldStepper):
 
 
 @dataclass(frozen=True)
-class GaussSeidel(_Held):
+class GaussSeidel(StepsOnce):
     """Slaves step in the declared order of the components, each with its inputs held at the newest
     values there are: those at the end of the step from components before it, those at the start
     from itself and the ones after it.
@@ -202,9 +183,6 @@ class Sampled(Coupling):
     sample_time: float
     delay: int = 0
     name: ClassVar[str] = "sampled"
-    needs_derivatives: ClassVar[bool] = False
-    lands_on_events: ClassVar[bool] = False
-    takes_tolerance: ClassVar[bool] = False
     latches: ClassVar[bool] = True
 
     def __post_init__(self) -> None:

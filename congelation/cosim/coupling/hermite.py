@@ -113,7 +113,6 @@ class Hermite(Coupling):
     needs_derivatives: ClassVar[bool] = True
     lands_on_events: ClassVar[bool] = True
     takes_tolerance: ClassVar[bool] = True
-    latches: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -411,8 +410,9 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
             return Trial(HermiteState(points, self._highest, J, length), 0.0, LOW, 0)
         if self.predicts:
             value, slope = state.points.now
-            missed, worst = self._relative(np.abs(value + length * slope - new[0]), new)
-            return Trial(HermiteState(points, LOW, J, length), missed, HELD, worst)
+            missed = np.abs(value + length * slope - new[0])
+            error, worst = self._relative(missed, new)
+            return Trial(HermiteState(points, LOW, J, length), error, HELD, worst, missed)
         distances = estimated_error(piece, state.points, end, new, high=self._highest == HIGH)
         low, worst = self._relative(distances[0], new)
         order, next_order = LOW, self._highest

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import ClassVar, NamedTuple
@@ -11,7 +10,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.coupling.base import Coupling, Stepper
+from congelation.cosim.coupling.base import Stepper, StepsOnce
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import MAX_ITERATIONS, Exchange
 from congelation.cosim.result import RunEnded, Status
@@ -31,7 +30,7 @@ twice: ten times the tolerance of its solution."""
 
 
 @dataclass(frozen=True)
-class ModelExchange(Coupling):
+class ModelExchange(StepsOnce):
     """All FMUs give their derivatives, and one integrator makes the steps of the whole system.
 
     This is no co-simulation: no input is held or extrapolated, and the only error is that of the
@@ -58,25 +57,12 @@ class ModelExchange(Coupling):
 
     method: str = "DOP853"
     name: ClassVar[str] = "model_exchange"
-    needs_derivatives: ClassVar[bool] = False
-    lands_on_events: ClassVar[bool] = False
     takes_tolerance: ClassVar[bool] = True
-    latches: ClassVar[bool] = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.method not in METHODS:
             raise InvalidInput(f"method '{self.method}'; valid: {', '.join(METHODS)}")
-
-    @property
-    def rolls_back(self) -> bool:
-        """No FMU has to take a step back."""
-        return False
-
-    @property
-    def periods(self) -> Mapping[str, float]:
-        """None."""
-        return {}
 
     def stepper(
         self, ensemble: Ensemble, exchange: Exchange, tolerance: float | None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import multiprocessing.util
+import re
 import shutil
 import tempfile
 import zipfile
@@ -77,10 +78,19 @@ class Archive:
             If the archive has none there; `what` is what names it.
         """
         for name in (source, unquote(source)):
-            found = (self.folder / name).resolve()
-            if found.is_relative_to(self.folder) and found.is_file():
+            if (found := self.held(name)) is not None:
                 return found
         raise self.error(f"{what}: there is no '{source}' in the archive")
+
+    def held(self, name: str) -> Path | None:
+        """The file of the archive that a text names, if it names one."""
+        if not name or "\0" in name:
+            return None
+        try:
+            found = (self.folder / name).resolve()
+            return found if found.is_relative_to(self.folder) and found.is_file() else None
+        except OSError:  # too long for a name
+            return None
 
 
 def unpack(file: Path) -> Archive:
@@ -142,10 +152,20 @@ def parse(data: bytes, schema: str, place: str) -> etree._Element:
         root = etree.fromstring(data, etree.XMLParser(resolve_entities=False, no_network=True))
     except etree.XMLSyntaxError as error:
         raise InvalidInput(f"{place}: no XML: {error.msg}") from error
+    wanted, version = _SSP + schema, root.get("version", "")
+    if etree.QName(root).namespace != wanted:
+        raise InvalidInput(
+            f"{place}: the root is '{root.tag}', that of SSP 1.0 is of the namespace '{wanted}'"
+        )
+    if not version.startswith("1."):
+        raise InvalidInput(f"{place}: of SSP {version or 'no version'}; SSP 1.0 is needed")
     validator = _schema(schema)
     if not validator.validate(root):
         first = validator.error_log[0]
-        raise InvalidInput(f"{place}, line {first.line}: {first.message}")
+        message = re.sub(
+            r"\{[^}]*\}", "", first.message
+        )  # namespaces, which files do not spell out
+        raise InvalidInput(f"{place}, line {first.line}: {message}")
     return root
 
 

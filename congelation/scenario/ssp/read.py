@@ -11,13 +11,15 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from lxml import etree
 
-from congelation.errors import nearest
-from congelation.fmi.description import Variable, describe
+from congelation.errors import InvalidInput, nearest
+from congelation.fmi.description import Description, Variable, describe
+from congelation.fmi.units import BASE, Unit, conversion
 from congelation.scenario.parts import replaced
 from congelation.scenario.scenario import EXPERIMENT, Scenario
 from congelation.scenario.ssp.archive import (
@@ -59,11 +61,13 @@ def read_ssp(file: Path, experiment: Mapping[str, object] | None = None) -> Scen
     content = archive.find(SSD, "an SSP archive").read_bytes()
     root = parse(content, DESCRIPTION, f"{file}: {SSD}")
     system = root.find("ssd:System", NAMESPACES)
+    units = _defined_units(root, "ssd")
     components, ignored = _components(system, archive)
-    surroundings = _surroundings(system, archive, components, ignored)
+    connectors = _connectors(system, archive, components, units)
+    surroundings = _surroundings(system, archive, components, connectors, ignored, units)
     names = _plain_names(components)
     components = {names[name]: component for name, component in components.items()}
-    connections = list(_connections(system, archive, names))
+    connections = list(_connections(system, archive, names, connectors))
     document = {
         "title": root.get("description") or root.get("name"),
         **_annotated(root, archive),
@@ -79,6 +83,11 @@ def read_ssp(file: Path, experiment: Mapping[str, object] | None = None) -> Scen
     scenario = Scenario.from_document(Section(str(file), "", document), file, text)
     warnings = [f"{file}: there is no variable for the parameter '{name}'" for name in ignored]
     warnings += [
+        f"{file}: there is no variable for the connector '{element}.{connector}'"
+        for (element, connector), found in connectors.items()
+        if found.variable is None
+    ]
+    warnings += [
         f"{file}: the element '{name}' is called '{plain}' here"
         for name, plain in names.items()
         if name != plain
@@ -91,7 +100,7 @@ def _plain_names(elements: Iterable[str]) -> dict[str, str]:
     taken = set(elements)
     names: dict[str, str] = {}
     for element in elements:
-        plain = name = re.sub(r"[.\s]+", "_", element)
+        plain = name = re.sub(r"([.\s]|->)+", "_", element)
         for number in itertools.count(2):
             if name == element or name not in taken:
                 break
@@ -121,60 +130,168 @@ def _components(
             raise archive.error(f"{what} is no FMU; only systems of FMUs can be run")
         if name in components:
             raise archive.error(f"{what} is given twice; names must differ")
+        if element.get("implementation") == "ModelExchange":
+            raise archive.error(
+                f"{what} is to be run by model exchange; FMUs of archives are run by co-simulation"
+            )
         fmu = archive.find(element.get("source", ""), what)
         values = _bound_values(element, archive, what)
         # Of elements "a" and "a.b", "a.b.c" is of the longer name.
         longer = tuple(f"{other}." for other in elements if other.startswith(f"{name}."))
         for key in [k for k in overriding if k.startswith(f"{name}.") and not k.startswith(longer)]:
             values[key.removeprefix(f"{name}.")] = overriding.pop(key)
-        known = describe(fmu).variables
+        description = describe(fmu)
         # SSP 1.0: parameters for which there is no variable are ignored.
-        start = {key: value for key, value in values.items() if key in known}
-        ignored |= {f"{name}.{key}": v for key, v in values.items() if key not in known}
-        _check_connectors(element, known, archive, what)
+        ignored |= {f"{name}.{k}": v for k, v in values.items() if k not in description.variables}
+        start = {
+            key: _in_own_unit(value, description, key, f"{what}: parameter '{key}'", archive)
+            for key, value in values.items()
+            if key in description.variables
+        }
         components[name] = {"fmu": str(fmu), "start": start}
     return components, ignored | overriding
 
 
-def _check_connectors(
-    element: etree._Element, known: Mapping[str, Variable], archive: Archive, what: str
-) -> None:
-    """Refuse connectors whose type or unit is not that of the FMU's variable."""
-    for connector in element.findall("ssd:Connectors/ssd:Connector", NAMESPACES):
-        variable = known.get(connector.get("name", ""))
-        typed = [e for e in connector if isinstance(e.tag, str) and NAMESPACES["ssc"] in e.tag]
-        if variable is None or not typed:
-            continue
-        kind = etree.QName(typed[0]).localname
-        if {"Enumeration": "Integer"}.get(kind, kind) != variable.type:
-            raise archive.error(
-                f"{what}: the connector '{variable.name}' is of type {kind}, the variable of the "
-                f"FMU of type {variable.type}; give the FMU's"
-            )
-        unit = typed[0].get("unit", "")
-        if unit and variable.unit and unit != variable.unit:
-            raise archive.error(
-                f"{what}: the connector '{variable.name}' is in '{unit}', the variable of the FMU "
-                f"in '{variable.unit}'; give the FMU's"
-            )
+@dataclass(frozen=True)
+class _Quantity:
+    """A value that states its unit, and what the file that states it defines that to be."""
+
+    value: Any
+    unit: str
+    defined: Unit | None
+
+
+def _in_own_unit(
+    value: object,
+    description: Description,
+    name: str,
+    what: str,
+    archive: Archive,
+    own: Unit | None = None,
+) -> object:
+    """A start value of the variable `name` in the variable's unit; `own` is that of a connector
+    to it where the variable has none."""
+    if not isinstance(value, _Quantity):
+        return value
+    variable = description.variables[name]
+    target = description.unit(variable.unit) or own
+    if target is None or (value.defined is None and own is None):
+        return {"value": value.value, "unit": value.unit}  # for the reader of scenarios
+    source = value.defined or description.unit(value.unit)
+    try:
+        found = conversion(source, target, relative=variable.relative)
+    except InvalidInput as error:
+        raise archive.error(f"{what}: {error}") from None
+    if found.doubt:
+        raise archive.error(f"{what}: {found.doubt}; give it in '{target.name}'")
+    return found.factor * value.value + found.offset
+
+
+def _defined_units(root: etree._Element, prefix: str) -> dict[str, Unit]:
+    """The units that a file defines: those of an SSD, or of a parameter set, by `prefix`."""
+    units: dict[str, Unit] = {}
+    for unit in root.findall(f"{prefix}:Units/ssc:Unit", NAMESPACES):
+        name, base = unit.get("name", ""), unit.find("ssc:BaseUnit", NAMESPACES)
+        exponents = tuple(int(base.get(symbol, "0")) for symbol in BASE)
+        factor, offset = (float(base.get(k, d)) for k, d in (("factor", "1"), ("offset", "0")))
+        units[name] = Unit(name, exponents, factor, offset) if factor else Unit(name)
+    return units
+
+
+@dataclass(frozen=True)
+class _Connector:
+    """A connector of a component.
+
+    Parameters
+    ----------
+    kind : str
+    variable : Variable or None
+        Of the FMU; None where it has none of that name.
+    unit : Unit or None
+        That of the variable, else the connector's own, which `stated` says.
+    """
+
+    kind: str
+    variable: Variable | None
+    unit: Unit | None
+    stated: bool
+
+
+def _connectors(
+    system: etree._Element,
+    archive: Archive,
+    components: Mapping[str, Mapping[str, Any]],
+    units: Mapping[str, Unit],
+) -> dict[tuple[str, str], _Connector]:
+    """The connectors of all components, by element and name.
+
+    Raises
+    ------
+    InvalidInput
+        One whose type, unit or direction is not that of the FMU's variable.
+    """
+    found: dict[tuple[str, str], _Connector] = {}
+    for element in system.findall("ssd:Elements/ssd:Component", NAMESPACES):
+        owner = element.get("name", "")
+        description = describe(Path(components[owner]["fmu"]))
+        for connector in element.findall("ssd:Connectors/ssd:Connector", NAMESPACES):
+            name, direction = connector.get("name", ""), connector.get("kind", "")
+            what = f"component '{owner}': the connector '{name}'"
+            variable = description.variables.get(name)
+            kind, unit = _type_of(connector)
+            if variable is None:
+                found[owner, name] = _Connector(direction, None, None, False)
+                continue
+            if kind and {"Enumeration": "Integer"}.get(kind, kind) != variable.type:
+                raise archive.error(
+                    f"{what} is of type {kind}, the variable of the FMU of type {variable.type}; "
+                    "give the FMU's"
+                )
+            if {direction, variable.causality} == {"input", "output"}:
+                raise archive.error(
+                    f"{what} is an {direction}, the variable of the FMU an {variable.causality}; "
+                    "give the FMU's"
+                )
+            if unit and variable.unit and unit != variable.unit:
+                raise archive.error(
+                    f"{what} is in '{unit}', the variable of the FMU in '{variable.unit}'; give "
+                    "the FMU's"
+                )
+            own = description.unit(variable.unit)
+            stated = own is None and bool(unit)
+            if stated:
+                own = units.get(unit) or description.unit(unit)
+            found[owner, name] = _Connector(direction, variable, own, stated)
+    return found
+
+
+def _type_of(connector: etree._Element) -> tuple[str, str]:
+    """The type that a connector states, and its unit; empty where it states none."""
+    for child in connector:
+        if isinstance(child.tag, str) and NAMESPACES["ssc"] in child.tag:
+            return etree.QName(child).localname, child.get("unit", "")
+    return "", ""
 
 
 def _surroundings(
     system: etree._Element,
     archive: Archive,
     components: Mapping[str, Mapping[str, Any]],
+    connectors: Mapping[tuple[str, str], _Connector],
     parameters: dict[str, object],
+    units: Mapping[str, Unit],
 ) -> list[tuple[str, str]]:
     """The inputs, (element, variable), that connectors of the system would drive.
 
     A parameter of the name of such a connector is the value of what is connected to it, and is
     taken out of `parameters`; it takes precedence over those of the component.
     """
-    kinds = {
-        connector.get("name"): connector.get("kind")
+    outside = {
+        connector.get("name"): (connector.get("kind"), *_type_of(connector))
         for connector in system.findall("ssd:Connectors/ssd:Connector", NAMESPACES)
     }
     inputs: list[tuple[str, str]] = []
+    driven: dict[tuple[str, str], str] = {}
     used: set[str] = set()
     for connection in system.findall("ssd:Connections/ssd:Connection", NAMESPACES):
         ends = [(connection.get(f"{e}Element"), connection.get(f"{e}Connector")) for e in _ENDS]
@@ -183,19 +300,47 @@ def _surroundings(
         if not outer:
             continue
         what = f"connection with the connector '{outer[0]}' of the system"
-        if outer[0] not in kinds:
-            raise archive.error(f"{what}: it has none; {nearest(outer[0], map(str, kinds))}")
+        for connector in outer:
+            if connector not in outside:
+                raise archive.error(f"{what}: it has none; {nearest(connector, map(str, outside))}")
         if any(child.tag in _TRANSFORMATIONS for child in connection):
             raise archive.error(f"{what}: a transformation; put it into an FMU")
-        if not inner or kinds[outer[0]] == "output":
+        if not inner:
             continue
-        (name, variable), *_ = inner
-        if name not in components:
-            raise archive.error(f"{what}: no component '{name}'; {nearest(name, components)}")
+        (end,) = inner
+        if end not in connectors:
+            known = [".".join(connector) for connector in connectors]
+            here = ".".join(end)
+            raise archive.error(f"{what}: no connector '{here}'; {nearest(here, known)}")
+        found, (kind, _, unit) = connectors[end], outside[outer[0]]
+        if (kind == "output") != (found.kind == "output"):
+            raise archive.error(
+                f"{what}: it is an {kind}, and '{'.'.join(end)}' an {found.kind}; an input of the "
+                "system leads to inputs, and outputs lead to its outputs"
+            )
+        if kind == "output" or found.variable is None:
+            continue
+        if end in driven:
+            raise archive.error(
+                f"{what}: '{'.'.join(end)}' is driven by '{driven[end]}' already; an input takes "
+                "one source"
+            )
+        driven[end] = outer[0]
+        (name, variable) = end
         if outer[0] in parameters:
-            components[name]["start"][variable] = parameters[outer[0]]
+            value = parameters[outer[0]]
+            if unit and not isinstance(value, _Quantity) and found.unit is not None:
+                value = _Quantity(value, unit, units.get(unit))
+            components[name]["start"][variable] = _in_own_unit(
+                value,
+                describe(Path(components[name]["fmu"])),
+                variable,
+                what,
+                archive,
+                found.unit if found.stated else None,
+            )
             used.add(outer[0])
-        elif kinds[outer[0]] == "input":
+        elif kind == "input":
             inputs.append((name, variable))
     for name in used:
         del parameters[name]
@@ -203,14 +348,13 @@ def _surroundings(
 
 
 def _connections(
-    system: etree._Element, archive: Archive, names: Mapping[str, str]
+    system: etree._Element,
+    archive: Archive,
+    names: Mapping[str, str],
+    connectors: Mapping[tuple[str, str], _Connector],
 ) -> Iterator[str]:
     """The connections between components, each from an output to an input."""
-    kinds = {
-        (element.get("name"), connector.get("name")): connector.get("kind")
-        for element in system.findall("ssd:Elements/ssd:Component", NAMESPACES)
-        for connector in element.findall("ssd:Connectors/ssd:Connector", NAMESPACES)
-    }
+    kinds = {end: connector.kind for end, connector in connectors.items()}
     for connection in system.findall("ssd:Connections/ssd:Connection", NAMESPACES):
         ends = [(connection.get(f"{e}Element"), connection.get(f"{e}Connector")) for e in _ENDS]
         if any(element is None for element, _ in ends):
@@ -229,8 +373,24 @@ def _connections(
             ends.reverse()  # start and end do not tell the direction, the kinds do
         if [kinds[end] for end in ends] != ["output", "input"]:
             raise archive.error(f"{what}: give an output and an input")
+        _check_units(connectors[ends[0]], connectors[ends[1]], what, archive)
         source, target = (f"{names[element]}.{connector}" for element, connector in ends)
         yield f"{source} -> {target}"
+
+
+def _check_units(source: _Connector, target: _Connector, what: str, archive: Archive) -> None:
+    """Refuse a conversion that connectors ask for and the FMUs' own units do not make."""
+    if source.unit is None or target.unit is None or not (source.stated or target.stated):
+        return
+    try:
+        found = conversion(source.unit, target.unit)
+    except InvalidInput as error:
+        raise archive.error(f"{what}: {error}") from None
+    if (found.factor, found.offset) != (1.0, 0.0):
+        raise archive.error(
+            f"{what}: from '{source.unit.name}' to '{target.unit.name}', where an FMU states no "
+            "unit to convert by; give both connectors one unit"
+        )
 
 
 _ENDS = ("start", "end")
@@ -248,7 +408,8 @@ def _annotated(root: etree._Element, archive: Archive) -> dict[str, object]:
         return {}
     try:
         tables = json.loads(element.text or "")
-    except json.JSONDecodeError as error:
+    # Besides errors of JSON, those of a number of thousands of digits and of deep nesting.
+    except (ValueError, RecursionError) as error:
         raise archive.error(f"{SSD}: annotation '{ANNOTATION}': no JSON: {error}") from error
     if not isinstance(tables, dict):
         raise archive.error(f"{SSD}: annotation '{ANNOTATION}': give a JSON object")
@@ -348,8 +509,16 @@ def _bound_values(element: etree._Element, archive: Archive, what: str) -> dict[
         _check_binding(binding, archive, what)
         prefix = binding.get("prefix", "")
         for parameter_set in _parameter_sets(binding, archive, what):
+            units = _defined_units(parameter_set, "ssv")
+            seen: set[str] = set()
             for parameter in parameter_set.findall("ssv:Parameters/ssv:Parameter", NAMESPACES):
-                values[prefix + parameter.get("name", "")] = _value(parameter, archive, what)
+                name = parameter.get("name", "")
+                if name in seen:
+                    raise archive.error(
+                        f"{what}: parameter '{name}' is given twice in one set; leave one out"
+                    )
+                seen.add(name)
+                values[prefix + name] = _value(parameter, archive, what, units)
     return values
 
 
@@ -367,6 +536,10 @@ def _parameter_sets(
     binding: etree._Element, archive: Archive, what: str
 ) -> Iterator[etree._Element]:
     source = binding.get("source")
+    if source is not None and binding.find("ssd:ParameterValues", NAMESPACES) is not None:
+        raise archive.error(
+            f"{what}: a binding with the source '{source}' and with values of its own; give one"
+        )
     if source is not None:
         content = archive.find(source, what).read_bytes()
         yield parse(content, PARAMETERS, f"{archive.file}: {source}")
@@ -374,7 +547,9 @@ def _parameter_sets(
         yield parse(etree.tostring(inline), PARAMETERS, f"{archive.file}: parameters of {what}")
 
 
-def _value(parameter: etree._Element, archive: Archive, what: str) -> object:
+def _value(
+    parameter: etree._Element, archive: Archive, what: str, units: Mapping[str, Unit]
+) -> object:
     element = next(child for child in parameter if isinstance(child.tag, str))
     kind = etree.QName(element).localname
     if kind not in _READERS:
@@ -382,10 +557,10 @@ def _value(parameter: etree._Element, archive: Archive, what: str) -> object:
         known = ", ".join(_READERS)
         raise archive.error(f"{what}: parameter '{name}' is a value of type {kind}; give {known}")
     value = _READERS[kind](element.get("value", ""))
-    if isinstance(value, str) and value and (archive.folder / value).is_file():
-        value = str(archive.find(value, what))  # an FMU looks for files from where its host runs
+    if isinstance(value, str) and (held := archive.held(value)) is not None:
+        value = str(held)  # an FMU looks for files from where its host runs
     unit = element.get("unit")
-    return value if unit is None else {"value": value, "unit": unit}
+    return value if unit is None else _Quantity(value, unit, units.get(unit))
 
 
 def _boolean(text: str) -> bool:

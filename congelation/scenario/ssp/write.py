@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
@@ -95,6 +96,11 @@ def write_ssp(
     if file.suffix != ".ssp":
         raise InvalidInput(f"{file}: the name of an SSP archive ends in .ssp")
     chosen = _variant(scenario, variant)
+    for text in (scenario.title, *(component.name for component in scenario.system.components)):
+        if not _XML_TEXT.fullmatch(text):
+            raise InvalidInput(
+                f"{scenario.place}: {text!a} has characters that XML, and so an SSP, cannot hold"
+            )
     case = scenario.case(chosen.settings)
     resolved = (_native_twins(case.system) if native else case.system).resolve()
     contents = Contents()
@@ -110,7 +116,8 @@ def write_ssp(
         component.set("implementation", "CoSimulation")
         _add_connectors(component, connectors[place])
         parameters = _parameter_set(member.start, contents)
-        bound = contents.add(f"resources/{member.name}.ssv", parameters)
+        stem = re.sub(r"[^\w.-]", "_", member.name)  # some characters are none of a file's name
+        bound = contents.add(f"resources/{stem}.ssv", parameters)
         _add(_add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=bound)
     _add_connections(system, resolved, ties)
     default = _add_experiment(root, case.experiment)
@@ -248,17 +255,22 @@ def _parameter_set(start: Iterable[StartValue], contents: Contents) -> bytes:
     root.set("name", _PARAMETER_SET)
     parameters = _add(root, "ssv:Parameters")
     for item in start:
-        if item.value == "":
-            continue  # OMSimulator complains of empty Strings, and they say nothing
+        if item.value == "" == item.variable.default:
+            continue  # OMSimulator complains of empty Strings, and this one says nothing
         parameter = _add(parameters, "ssv:Parameter", name=item.variable.name)
-        value = _packed(item.value, contents)
+        value = _packed(item, contents)
         _add(parameter, f"ssv:{item.variable.type}", value=value)
     return _document(root)
 
 
-def _packed(value: object, contents: Contents) -> str:
-    """A start value as text; a file that one names goes into the archive."""
-    if isinstance(value, str) and Path(value).is_file():
+def _packed(item: StartValue, contents: Contents) -> str:
+    """A start value as text; the table of a profile goes into the archive."""
+    value, name = item.value, item.variable.name
+    if isinstance(value, str) and not _XML_TEXT.fullmatch(value):
+        raise InvalidInput(
+            f"start value '{name}' = {value!a} has characters that XML, and so an SSP, cannot hold"
+        )
+    if isinstance(value, str) and name.endswith(_TABLE) and value:
         table = Path(value)
         return contents.add(f"resources/{table.name}", table.read_bytes())
     if isinstance(value, bool):
@@ -266,6 +278,12 @@ def _packed(value: object, contents: Contents) -> str:
     if isinstance(value, float) and math.isinf(value):
         return "INF" if value > 0.0 else "-INF"
     return str(value)
+
+
+# The characters of XML 1.0, section 2.2.
+_XML_TEXT = re.compile(r"[\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]*")
+_TABLE = "table.file"
+"""End of the names of parameters that name the table of a profile."""
 
 
 def _add_experiment(root: etree._Element, experiment: Experiment) -> etree._Element:
