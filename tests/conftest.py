@@ -1,13 +1,13 @@
 """Settings shared by all tests.
 
-Property-based tests draw the same 40 examples in every run of `make test`, and 1,000 fresh ones in
+Property-based tests draw the same 25 examples in every run of `make test`, and 1,000 fresh ones in
 `make fuzz`, which runs the tests marked ``fuzz``. Such a test sets no number of examples.
 """
 
 import os
 import signal
 import sys
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import pytest
@@ -29,7 +29,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 settings.register_profile(
-    "repeatable", max_examples=40, derandomize=True, deadline=None, print_blob=True
+    "repeatable", max_examples=25, derandomize=True, deadline=None, print_blob=True
 )
 settings.register_profile("fuzz", max_examples=1000, deadline=None, print_blob=True)
 settings.load_profile("repeatable")  # --hypothesis-profile=fuzz takes its place
@@ -39,6 +39,8 @@ SLOW = (
     "benchmarks",
     "cli",
     "conformance",
+    "cosim/test_built_fmus.py",
+    "cosim/test_choice.py",
     "cosim/test_compiled.py",
     "cosim/test_couplings.py",
     "cosim/test_output.py",
@@ -50,27 +52,36 @@ SLOW = (
     "native",
     "package",
     "report/test_browser.py",
+    "report/test_figures.py",
     "scenario/test_shipped.py",
     "scenario/test_ssp.py",
     "sweep",
+    "theory/test_extensions.py",
     "theory/test_weakened.py",
+    "verify/test_certify.py",
+    "verify/test_laws.py",
     "verify/test_measure.py",
 )
-"""Folders and files whose tests run processes, hosts, engines, all scenarios; `make test-fast`
-leaves them out."""
+"""Folders and files whose tests run processes, hosts, engines, all scenarios, or take some seconds
+of processor time in all; `make test-fast` leaves them out."""
+
+
+@cache
+def is_slow(path: Path) -> bool:
+    return any(path.is_relative_to(Path(__file__).parent / place) for place in SLOW)
+
+
+def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
+    """Do not even import what `make test-fast` leaves out: that takes seconds in each process."""
+    return True if config.option.markexpr == "not slow" and is_slow(collection_path) else None
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    tests = Path(__file__).parent
-    slow = [tests / place for place in SLOW]
-
-    def is_slow(item: pytest.Item) -> bool:
-        return any(item.path.is_relative_to(place) for place in slow)
-
-    for item in filter(is_slow, items):
-        item.add_marker(pytest.mark.slow)
+    for item in items:
+        if is_slow(item.path):
+            item.add_marker(pytest.mark.slow)
     # First, so that no long file is left for the end, when the other processes have nothing to do.
-    items.sort(key=lambda item: not is_slow(item))
+    items.sort(key=lambda item: not is_slow(item.path))
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -139,6 +139,18 @@ RUN = {"stop_time": 1.0, "step": 0.1}
             lambda: cg.attack("scenarios/scalar.toml", workers=0),
             "workers = 0 is not valid; give a whole number of at least 1",
         ),
+        (
+            lambda: cg.load_scenario("s.toml", "x"),
+            "load_scenario: experiment = 'x' is not valid; give a dictionary with names as keys",
+        ),
+        (
+            lambda: cg.export_ssp("s.toml", "a.ssp"),
+            "export_ssp: scenario = 's.toml' is not valid; give a Scenario",
+        ),
+        (
+            lambda: cg.build(["s.toml"]),
+            "build: specs = ['s.toml'] is not valid; give a Spec or a BlockSpec or a path",
+        ),
         (lambda: cg.check([]), "paths is empty; give the FMUs to check"),
         (
             lambda: cg.check("p.fmu"),

@@ -102,7 +102,7 @@ class Equation:
         work = folder / figure.loop.name
         work.mkdir(parents=True, exist_ok=True)
         objects: list[str] = []
-        flags = ["-O2", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden", "-flto"]
+        flags = ["-O3", "-ffp-contract=off", "-fPIC", "-fvisibility=hidden", "-flto"]
         headers = Path(fmpy.__file__).parent / "c-code"
         for component in figure.loop.components:
             sources = work / component.name

@@ -1,8 +1,9 @@
 """The process in which one dynamic rule, or one task of another rule, looks at one FMU.
 
 Reads a `Job` from the JSON file that its command line names and leaves the result in the job's
-scratch directory.
-Standard output and error belong to the FMU, which may print what it likes.
+scratch directory. Without a file it reads lines "number file" from standard input, and forks a
+process for each.
+Standard output and error of these belong to the FMU, which may print what it likes.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import ctypes
 import json
 import os
+import select
 import signal
 import sys
 from collections.abc import Callable, Mapping
@@ -27,12 +29,23 @@ _PR_SET_PDEATHSIG = 1
 
 
 def main() -> None:
-    """Do the job in the file that the command line names."""
+    """Do the job in the file that the command line, or a line of standard input, names."""
+    parent = os.getpid() if not sys.argv[1:] else os.getppid()
+    path = sys.argv[1] if sys.argv[1:] else _forked()
     if sys.platform == "linux":
         # An FMU that hangs must not outlive the check, however that ends.
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    data = json.loads(Path(sys.argv[1]).read_text(encoding="utf-8"))
+        if os.getppid() != parent:  # it has ended already
+            os._exit(1)
+    data = json.loads(Path(path).read_text(encoding="utf-8"))
     job = Job(**{**data, "able": Ability(**data["able"])})
+    if not sys.argv[1:]:
+        nothing = os.open(os.devnull, os.O_RDWR)
+        words = os.open(job.words, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        for number, descriptor in enumerate((nothing, nothing, words)):
+            os.dup2(descriptor, number)
+        # Temporary files go away with the scratch.
+        os.environ |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), job.scratch)
     os.chdir(job.scratch)
     bench = Bench(job)
     if job.task:
@@ -47,6 +60,45 @@ def main() -> None:
         # How the process would end is the business of the rules that say so.
         sys.stdout.flush()
         os._exit(0)
+
+
+def _forked() -> str:
+    """Fork for each line of standard input, until there are no more.
+
+    Writes "begun number pid" and "ended number code" to standard output. Returns, in each process
+    forked, the file of its job.
+    """
+    woken, wakes = os.pipe()
+    os.set_blocking(wakes, False)
+    signal.set_wakeup_fd(wakes)
+    signal.signal(signal.SIGCHLD, lambda *_: None)
+    numbers: dict[int, str] = {}
+    rest = b""
+    while True:
+        ready, _, _ = select.select([0, woken], [], [])
+        if woken in ready:
+            os.read(woken, 4096)
+            while numbers and (found := os.waitpid(-1, os.WNOHANG))[0]:
+                pid, status = found
+                print("ended", numbers.pop(pid), os.waitstatus_to_exitcode(status), flush=True)
+        if 0 not in ready:
+            continue
+        data = os.read(0, 65536)
+        if not data:
+            sys.exit()
+        *lines, rest = (rest + data).split(b"\n")
+        for line in lines:
+            number, _, path = line.decode().partition(" ")
+            pid = os.fork()
+            os.setpgid(pid, pid)  # in both, as either may be first; it is killed with all its own
+            if pid == 0:
+                signal.set_wakeup_fd(-1)
+                signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+                os.close(woken)
+                os.close(wakes)
+                return path
+            numbers[pid] = number
+            print("begun", number, pid, flush=True)
 
 
 def _judged(rule: DynamicRule, bench: Bench) -> dict[str, object]:

@@ -1,7 +1,12 @@
-"""The processes in which FMUs are looked at: their start, their time limit and their end."""
+"""The processes in which FMUs are looked at: their start, their time limit and their end.
+
+They are forks of one process of Python that has loaded nothing but the bench: starting Python anew
+takes longer than most rules do.
+"""
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 import signal
@@ -50,6 +55,94 @@ class Ended:
     report: dict[str, object] | None
 
 
+class _Child:
+    """A process of a job, which the process that forked it tells of."""
+
+    def __init__(self) -> None:
+        self.pid = 0
+        self.code: int | None = None
+        self.begun, self.ended = threading.Event(), threading.Event()
+
+
+class _Forks:
+    """The process that forks one for each job; there is one for all checks under way.
+
+    It ends with the last of them, and at the latest with this process, which closes its input.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._users = 0
+        self._server: subprocess.Popen[str] | None = None
+        self._numbers = itertools.count()
+        self._children: dict[int, _Child] = {}
+
+    def enter(self) -> None:
+        """Another check begins; a process is started with its first job."""
+        with self._lock:
+            self._users += 1
+
+    def leave(self) -> None:
+        """A check is over."""
+        with self._lock:
+            self._users -= 1
+            server = self._server if self._users == 0 else None
+            if server is not None:
+                self._server = None
+        if server is not None and server.stdin is not None:
+            server.stdin.close()
+            server.wait()
+
+    def start(self, job: Job) -> _Child:
+        """The process that does a job, once it has begun."""
+        child = _Child()
+        with self._lock:
+            if self._server is None or self._server.poll() is not None:
+                self._server = subprocess.Popen(
+                    [sys.executable, "-m", "congelation.conformance.child_main"],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.DEVNULL,
+                    text=True,
+                    cwd=os.sep,
+                    env=_environment(),
+                    start_new_session=True,
+                )
+                threading.Thread(target=self._listen, args=[self._server], daemon=True).start()
+            assert self._server.stdin is not None
+            number = next(self._numbers)
+            self._children[number] = child
+            with suppress(BrokenPipeError):  # `_listen` ends the child
+                self._server.stdin.write(f"{number} {job.saved()}\n")
+                self._server.stdin.flush()
+        child.begun.wait()
+        return child
+
+    def _listen(self, server: subprocess.Popen[str]) -> None:
+        """Note which processes begin and end, until the server ends, and with it all of them."""
+        assert server.stdout is not None
+        with server.stdout as lines:
+            for line in lines:
+                what, number, value = line.split()
+                child = self._children[int(number)]
+                if what == "begun":
+                    child.pid = int(value)
+                else:
+                    child.code = int(value)
+                    del self._children[int(number)]
+                    child.ended.set()
+                child.begun.set()
+        server.wait()
+        with self._lock:
+            for child in self._children.values() if self._server in (server, None) else ():
+                child.code = -signal.SIGKILL
+                child.begun.set()
+                child.ended.set()
+
+
+_FORKS = _Forks()
+
+
 class Children:
     """The processes of one check.
 
@@ -65,6 +158,14 @@ class Children:
         self._stopped = False
         self._starting = threading.Lock()
 
+    def open(self) -> None:
+        """A check begins."""
+        _FORKS.enter()
+
+    def close(self) -> None:
+        """The check is over."""
+        _FORKS.leave()
+
     def stop(self) -> None:
         """Kill whatever runs, and start nothing more."""
         with self._starting:
@@ -75,41 +176,29 @@ class Children:
     def run(self, job: Job, factor: float = 1.0) -> Ended:
         """Let a process do a job, in its time."""
         limit = self._time_limit * factor
-        words = Path(job.scratch) / "stderr"
-        # A file and no pipe: a process that the FMU starts and leaves may hold a pipe open.
-        with words.open("wb") as stderr, self._starting:
+        with self._starting:
             if self._stopped:
                 return Ended(None, "not done: the check was interrupted", "", None)
-            process = subprocess.Popen(
-                [sys.executable, "-m", "congelation.conformance.child_main", str(job.saved())],
-                stdin=subprocess.DEVNULL,
-                stdout=subprocess.DEVNULL,
-                stderr=stderr,
-                cwd=job.scratch,
-                env=_environment(job),
-                start_new_session=True,
-            )
-            self._running.add(process.pid)
+            child = _FORKS.start(job)
+            self._running.add(child.pid)
         try:
-            code, allowed = self._wait(process, job, limit)
+            code, allowed = self._wait(child, job, limit)
         finally:
             # All processes of the group, since a rule or the FMU may have started others.
-            _kill(process.pid)
-            process.wait()
+            _kill(child.pid)
+            child.ended.wait()
             with self._starting:
-                self._running.discard(process.pid)
+                self._running.discard(child.pid)
         where = Tape.read(job.tape)
         if code is None:
             how = f"not done after {allowed:.3g} s (in {where or 'the rule'})"
         else:
             how = f"the process {ending(code)}" + (f" in {where}" if where else "")
-        lines = words.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        lines = job.words.read_text(encoding="utf-8", errors="replace").strip().splitlines()
         left = json.loads(job.result.read_text(encoding="utf-8")) if job.result.exists() else None
         return Ended(code, how, lines[-1][-_LAST_WORDS:] if lines else "", left)
 
-    def _wait(
-        self, process: subprocess.Popen[bytes], job: Job, limit: float
-    ) -> tuple[int | None, float]:
+    def _wait(self, child: _Child, job: Job, limit: float) -> tuple[int | None, float]:
         """The exit code of a child, None if its time is up or that of a single call, and the time.
 
         A call may take a part of the usual limit, also in rules that may take longer in all.
@@ -118,8 +207,8 @@ class Children:
         end = time.monotonic() + limit
         state, since = b"", time.monotonic()
         while (now := time.monotonic()) < end:
-            with suppress(subprocess.TimeoutExpired):
-                return process.wait(min(_POLL, end - now)), limit
+            if child.ended.wait(min(_POLL, end - now)):
+                return child.code, limit
             found = Tape.state(job.tape)
             if found != state or not Tape.read(job.tape):
                 state, since = found, time.monotonic()
@@ -133,9 +222,8 @@ def _kill(group: int) -> None:
         os.killpg(group, signal.SIGKILL)
 
 
-def _environment(job: Job) -> dict[str, str]:
-    """That of this process; the package is found, and temporary files go away with the scratch."""
+def _environment() -> dict[str, str]:
+    """That of this process; the package is found."""
     root = str(Path(congelation.__file__).parents[1])
     paths = os.pathsep.join((root, *filter(None, [os.environ.get("PYTHONPATH")])))
-    temporary = dict.fromkeys(("TMPDIR", "TEMP", "TMP"), job.scratch)
-    return {**os.environ, **temporary, "PYTHONPATH": paths}
+    return {**os.environ, "PYTHONPATH": paths}

@@ -85,6 +85,14 @@ class Job:
         """Where the child leaves what it found, as JSON."""
         return Path(self.scratch) / "result.json"
 
+    @property
+    def words(self) -> Path:
+        """What the child writes to standard error.
+
+        A file and no pipe: a process that the FMU starts and leaves may hold a pipe open.
+        """
+        return Path(self.scratch) / "stderr"
+
     def saved(self) -> Path:
         """A file with the job as JSON, which the child reads."""
         path = Path(self.scratch) / "job.json"

@@ -38,7 +38,12 @@ def variable_of(column: str) -> str:
 
 
 def bands(
-    time: Floats, difference: Floats, order: float | Floats, peaks: Floats | None = None
+    time: Floats,
+    difference: Floats,
+    order: float | Floats,
+    peaks: Floats | None = None,
+    *,
+    every_step: bool = False,
 ) -> Floats:
     """Bands around the values of a run.
 
@@ -50,6 +55,11 @@ def bands(
         To the values of a run with half the step.
     order : float or array, of a shape that extends to (N, M)
         Power p of the step with which the error falls.
+    every_step : bool
+        Whether the rows are the communication points, all of them, and the difference has its sign.
+        An error that changes its sign from step to step, as in an algebraic loop with held inputs,
+        is not half as large in the other run, which has made twice as many steps by then: that part
+        of the difference is all of it.
     peaks : array, shape (M,), optional
         Of the variables. A difference near the peak is most of the error, as values stay bounded.
 
@@ -66,6 +76,12 @@ def bands(
         large = np.clip((size - NEAR_PEAK) / (1.0 - NEAR_PEAK), 0.0, 1.0)
         factor = factor + large * (np.minimum(factor, AT_PEAK) - factor)
     error = np.abs(difference) * factor
+    if every_step and len(difference) > 2:
+        before, here, after = difference[:-2], difference[1:-1], difference[2:]
+        alternating = (2.0 * here - before - after) / 4.0
+        smooth = (2.0 * here + before + after) / 4.0
+        apart = np.abs(smooth) * factor[1:-1] + np.abs(alternating)
+        error[1:-1] = np.minimum(error[1:-1], np.maximum(apart, np.abs(here)))
     highest = window_maxima(time, error)
     return MARGIN * np.column_stack(
         [np.maximum(column, _over_maxima(time, column)) for column in highest.T]

@@ -197,10 +197,11 @@ def _judged(
         return Trust.unknown(f"the second run: {second.message}", second.status.name)
     names = [item.name for item in recorded]
     peaks = np.maximum(np.abs(values).max(axis=0), np.nanmax(np.abs(finer), axis=0))
-    difference = np.abs(values - finer)
+    signed = values - finer
     # Where an FMU ended the second run earlier, the last difference is the best that is known.
-    missing = np.isnan(difference[:, :1]).all(axis=1)
-    difference[missing] = difference[~missing][-1]
+    missing = np.isnan(signed[:, :1]).all(axis=1)
+    signed[missing] = signed[~missing][-1]
+    difference = np.abs(signed)
     strange = np.flatnonzero(difference[0] > UNREPEATED * peaks)
     if strange.size:
         k = int(strange[0])
@@ -217,23 +218,7 @@ def _judged(
     notes: list[_Note] = []
     if mode == "order":
         order, notes = _observed(again, difference, ~switched, peaks, names)
-    if switches:
-        # Both runs may be late alike: what a variable changes over a step counts as well.
-        difference = np.maximum(difference, _by_late_switches(again, switched) / 2.0)
-    floor = max(FLOOR, SLAVE_FLOOR * (slave_tolerance(again.experiment) or 0.0)) * peaks
-    powers = np.full(difference.shape, np.maximum(order, LEAST_ORDER))
-    coupling = again.experiment.chosen_coupling
-    if isinstance(coupling, Derivative) or (
-        isinstance(coupling, Hermite) and coupling.iterations == 1
-    ):
-        begun = time <= again.points[: STARTING + 1][-1]
-        powers[begun] = np.minimum(powers[begun], 1.0)
-    found = bands(time, difference, powers, peaks) * (JITTER if switches else 1.0)
-    found = np.maximum(found, floor)
-    # What is not resolved stays so: in chaos, a small difference later on is chance.
-    lost = np.logical_or.accumulate(found > ROUGH * peaks)
-    found = np.where(lost, np.maximum.accumulate(found), found)
-    found[:, switched] = window_maxima(time, difference[:, switched])
+    found, difference = _widths(again, signed, switched, order, peaks, switches=switches)
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num(found.max(axis=0) / peaks, nan=0.0)
     relative[switched] = (difference[:, switched] > 0.0).mean(axis=0)
@@ -258,6 +243,54 @@ def _judged(
         error=error,
         line=_line(blank, verdict, names, worst, at, bool(switched[worst]), notes),
     )
+
+
+def _widths(
+    again: Again,
+    signed: Floats,
+    switched: Mask,
+    order: float | Floats,
+    peaks: Floats,
+    *,
+    switches: bool,
+) -> tuple[Floats, Floats]:
+    """The bands, shape (N, M), from the difference of both runs; and its size that counts, in which
+    switches of both runs that are late alike are included.
+
+    Parameters
+    ----------
+    again : Again
+    signed : array, shape (N, M)
+        The values less those of the second run.
+    switched : array, shape (M,)
+    order : float or array, shape (M,)
+    peaks : array, shape (M,)
+    switches : bool
+        Whether anything switches, recorded or not.
+    """
+    time, statistics, difference = again.time, again.statistics, np.abs(signed)
+    if switches:
+        # Both runs may be late alike: what a variable changes over a step counts as well.
+        difference = np.maximum(difference, _by_late_switches(again, switched) / 2.0)
+    floor = max(FLOOR, SLAVE_FLOOR * (slave_tolerance(again.experiment) or 0.0)) * peaks
+    powers = np.full(difference.shape, np.maximum(order, LEAST_ORDER))
+    coupling = again.experiment.chosen_coupling
+    if isinstance(coupling, Derivative) or (
+        isinstance(coupling, Hermite) and coupling.iterations == 1
+    ):
+        begun = time <= again.points[: STARTING + 1][-1]
+        powers[begun] = np.minimum(powers[begun], 1.0)
+    if switches:
+        found = bands(time, difference, powers, peaks) * JITTER
+    else:
+        whole = statistics.parts == 1 and np.array_equal(time, again.points)
+        found = bands(time, signed, powers, peaks, every_step=whole)
+    found = np.maximum(found, floor)
+    # What is not resolved stays so: in chaos, a small difference later on is chance.
+    lost = np.logical_or.accumulate(found > ROUGH * peaks)
+    found = np.where(lost, np.maximum.accumulate(found), found)
+    found[:, switched] = window_maxima(time, difference[:, switched])
+    return found, difference
 
 
 class _Note(NamedTuple):

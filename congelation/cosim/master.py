@@ -216,6 +216,8 @@ def perform(
             session.begin(resolved, rows, progress)
             status, message = _ended(session, experiment, points)
             statistics = session.statistics(clock.perf_counter() - begin)
+            if status is Status.COMPLETED:
+                message = " ".join([message, *(f"{k}." for k in lender.renewed(resolved.members))])
         except SlaveError as error:
             status, message = Status.SLAVE_FAILED, str(error)
     if os.getcwd() != folder:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from operator import is_
 from types import TracebackType
 
@@ -12,8 +13,11 @@ from congelation.cosim.session import Session
 from congelation.cosim.system import Member
 from congelation.errors import SlaveError
 from congelation.fmi.slave import Slave
+from congelation.fmi.start_values import StartValue
 
 __all__ = ["SlavePool"]
+
+Scalar = float | int | bool | str
 
 KEPT_SESSIONS = 8
 """Runs of a study differ in start values alone, or in a coupling and its step as well."""
@@ -22,12 +26,28 @@ KEPT_SESSIONS = 8
 class SlavePool:
     """Loaded FMU instances, by the content of their FMUs.
 
-    Use it as a context manager around several runs; leaving it frees every instance.
+    Use it as a context manager around several runs; leaving it frees every instance. Before an
+    instance of an FMU is used again for the first time, it is compared with a new one: where
+    fmi2Reset leaves something as the run before has left it, each run gets new instances.
     """
 
     def __init__(self) -> None:
         self._idle: dict[tuple[str, str, bool], list[Slave]] = defaultdict(list)
         self._sessions: deque[tuple[object, Session]] = deque(maxlen=KEPT_SESSIONS)
+        self._resets: dict[tuple[str, bool], str] = {}
+
+    @cached_property
+    def trials(self) -> SlavePool:
+        """Instances for trials before a run, none of which is ever lent to a run."""
+        return SlavePool()
+
+    def renewed(self, members: Sequence[Member]) -> list[str]:
+        """A line for each FMU of these that is instantiated anew for each run, and why."""
+        hashes = dict.fromkeys(member.description.sha256 for member in members)
+        lines = (
+            self._resets.get((sha256, kind), "") for sha256 in hashes for kind in (True, False)
+        )
+        return [line for line in lines if line]
 
     def session(self, key: object, slaves: Sequence[Slave], make: Callable[[], Session]) -> Session:
         """What is set up for a run: kept from an earlier run with these instances, or made.
@@ -89,6 +109,8 @@ class SlavePool:
                 slave.close()
         self._idle.clear()
         self._sessions.clear()
+        if "trials" in vars(self):
+            self.trials.close()
 
     def __enter__(self) -> SlavePool:
         return self
@@ -108,13 +130,76 @@ class SlavePool:
             try:
                 # Only now: an FMU that fails here fails after the rows of its run are safe.
                 slave.reset()
+                if self._is_as_new(slave, member):
+                    return slave
             except SlaveError:
-                slave.close()
-            else:
-                return slave
+                pass
+            slave.close()
         return Slave(member.name, member.description, exchange=exchange)
+
+    def _is_as_new(self, slave: Slave, member: Member) -> bool:
+        """Whether fmi2Reset makes an instance of this FMU as a new one is; looked at once.
+
+        Both are initialised with what the FMU says, and all that can be read is compared. Where
+        that is refused without the start values of the run, both are given those.
+
+        Raises
+        ------
+        SlaveError
+            The instance cannot be reset another time.
+        """
+        description = slave.description
+        key = description.sha256, slave.exchange
+        if key not in self._resets:
+            differs = "what it does cannot be compared with that of a new one"
+            for start in ((), member.start):
+                new = Slave(slave.name, description, exchange=slave.exchange)
+                try:
+                    fresh, again = _initial_values(new, start), _initial_values(slave, start)
+                except SlaveError:
+                    slave.reset()
+                    continue
+                finally:
+                    new.close()
+                slave.reset()
+                names = [n for n, value in fresh.items() if not _same(value, again[n])]
+                differs = f"{names[0]} is {again[names[0]]}, not {fresh[names[0]]}" if names else ""
+                break
+            self._resets[key] = differs and (
+                f"{description.path.name} is instantiated anew for each run, as fmi2Reset does not "
+                f"make it as new: {differs}"
+            )
+        return not self._resets[key]
 
     def _put_back(self, slave: Slave) -> None:
         if slave.usable:
             slave.free_states()
             self._idle[slave.name, slave.description.sha256, slave.exchange].append(slave)
+
+
+def _initial_values(slave: Slave, start: tuple[StartValue, ...]) -> dict[str, Scalar]:
+    """All variables in initialization mode, by name.
+
+    Raises
+    ------
+    SlaveError
+    """
+    slave.setup(0.0)
+    slave.set_values(start)
+    slave.enter_initialization()
+    found: dict[str, Scalar] = {}
+    for kind in ("Real", "Integer", "Boolean", "String"):
+        variables = [
+            v
+            for v in slave.description.variables.values()
+            if ("Integer" if v.type == "Enumeration" else v.type) == kind
+            and v.causality != "independent"
+        ]
+        if variables:
+            values = slave.get_values(kind, [v.reference for v in variables])
+            found.update(zip((v.name for v in variables), values, strict=True))
+    return found
+
+
+def _same(a: Scalar, b: Scalar) -> bool:
+    return a == b or (a != a and b != b)  # nan is as nan

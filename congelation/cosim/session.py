@@ -36,9 +36,6 @@ LOOK_PERIOD = 2.0
 FIRST_CHUNK = 16
 """Steps that the compiled loop makes before progress is looked at for the first time."""
 
-LARGER = 8
-"""Times as many steps as so far, which it makes before progress is looked at again."""
-
 COLLAPSED = 1e5
 """Remaining steps above which the steps of a run count as collapsed."""
 
@@ -153,7 +150,8 @@ class Session:
         self._progress = progress
         self._next_report = 0.0
         NOTICE.line = ""
-        self._looked = clock.monotonic(), 0, self.start
+        self._begun = clock.monotonic()
+        self._looked = self._begun, 0, self.start
         self._next_look = math.inf if self._tolerance is None else self._looked[0] + LOOK_PERIOD
         self._is_initialised = False
 
@@ -317,7 +315,11 @@ class Session:
         """Steps that the compiled loop may make at once, those taken back included."""
         left = self._max_steps - self.steps - self.rejected
         # Few at first: where each step takes long, progress is to be known soon.
-        return int(max(1, min(CHUNK, left, max(FIRST_CHUNK, LARGER * self.steps))))
+        chunk = FIRST_CHUNK
+        if self.steps:  # then as many as are likely to be made in a period of reports
+            spent = clock.monotonic() - self._begun
+            chunk = max(chunk, int(min(CHUNK, self.steps * PROGRESS_PERIOD / max(spent, 1e-9))))
+        return int(max(1, min(CHUNK, left, chunk)))
 
     def report(self, fraction: float) -> None:
         """Report progress, if anyone listens."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import pathlib
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, as_completed
+from concurrent.futures import as_completed
 from dataclasses import dataclass
 from functools import partial
 
@@ -29,12 +29,12 @@ from congelation.design.finds import (
 )
 from congelation.design.late_strike import SETTLED, strikes
 from congelation.design.search import Search
+from congelation.design.search_pool import SearchPool
 from congelation.design.shooting import Cells, Path, Shooting
 from congelation.errors import InvalidInput, nearest, require_count
 from congelation.scenario.load import load_scenario
 from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import MetricSpec, Scenario
-from congelation.sweep.process import search_pool
 
 __all__ = ["OBJECTIVES", "attack"]
 
@@ -113,10 +113,8 @@ def attack(
         for k, job in enumerate(jobs):
             outcomes[k] = _do(job, partial(show, job.variant, job.objective.name))
     else:
-        with search_pool(workers) as pool:
-            futures: dict[Future[Find | str], int] = {
-                pool.schedule(_do, (job,)): k for k, job in enumerate(jobs)
-            }
+        with SearchPool(workers) as pool:
+            futures = {pool.submit(_do, job): k for k, job in enumerate(jobs)}
             for future in as_completed(futures):
                 k = futures[future]
                 outcomes[k] = found = future.result()

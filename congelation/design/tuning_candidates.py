@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from contextlib import ExitStack
 from functools import cached_property, partial
 from pathlib import Path
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from congelation.cosim.result import Status
 from congelation.design.attack_problem import held
+from congelation.design.search_pool import SearchPool
 from congelation.design.shooting import Cells, Shooting
 from congelation.errors import InvalidInput, counted
 from congelation.export.spec import Spec, read_spec
@@ -30,7 +31,6 @@ from congelation.results.record import RunRecord
 from congelation.results.store import Store
 from congelation.scenario.metrics import METRICS
 from congelation.signals import Profile
-from congelation.sweep.process import search_pool
 from congelation.theory.closed_loop import ClosedLoop, SmoothPiece, close
 
 __all__ = ["OBJECTIVES", "Candidates", "Evaluator"]
@@ -217,23 +217,27 @@ class Candidates:
         }
         self._study = content_hash(self._key)
         self._store = None if folder is None else self._opened(Store(folder), resume)
-        self._processes = ExitStack()
         self._pool = None
         if workers > 1:
-            opened = (evaluator.file, evaluator.below, evaluator.stop)
-            self._pool = self._processes.enter_context(search_pool(workers, _open_bench, opened))
+            self._pool = SearchPool(
+                workers, _open_bench, (evaluator.file, evaluator.below, evaluator.stop)
+            )
 
     def __enter__(self) -> Candidates:
         return self
 
-    def __exit__(self, *error: Any) -> None:
-        try:
-            self._processes.__exit__(*error)
-        finally:
-            if self._store is not None:
-                self._store.close()
-                if self._store.count():
-                    self._store.export()
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._pool is not None:
+            self._pool.__exit__(kind, error, trace)
+        if self._store is not None:
+            self._store.close()
+            if self._store.count():
+                self._store.export()
 
     def solve(self, vectors: Sequence[Vector]) -> list[Vector | None]:
         """The objectives of candidates; the new ones are solved side by side and stored."""
@@ -243,8 +247,7 @@ class Candidates:
         if self._pool is None:
             found = (self.evaluator.solve(np.array(v)) for v in new)
         else:
-            futures = [self._pool.schedule(_solve_here, (v,)) for v in new]
-            found = (future.result() for future in futures)
+            found = self._pool.map(_solve_here, new)
         first = len(self._known)
         records = []
         for number, (vector, objectives) in enumerate(zip(new, found, strict=True), first):

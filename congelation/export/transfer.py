@@ -20,7 +20,7 @@ import numpy as np
 
 from congelation import keys
 from congelation.errors import InvalidInput, shown
-from congelation.theory.gains import iss_weight, smallest_feasible_r
+from congelation.theory.iss_riccati import iss_weight, smallest_feasible_r
 from congelation.toml import read_document
 
 __all__ = ["TransferFunction", "marks", "transfer_function"]

@@ -13,10 +13,11 @@ from typing import Any
 
 from congelation.errors import InvalidInput, counted
 from congelation.places import replace_whole
+from congelation.report.axes import axes_of
 from congelation.report.page_shell import Drawn, lines_of, opening, page, table
 from congelation.report.run_page import draw_overlaid
 from congelation.report.summary import label_of, number, short
-from congelation.report.verdict import axes_of, listed, settled
+from congelation.report.verdict import listed, settled
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 

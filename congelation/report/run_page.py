@@ -15,8 +15,9 @@ from congelation.report.curves import POINTS, controls, curve_panels, draw_panel
 from congelation.report.diagram import diagram
 from congelation.report.page_shell import Drawn, lines_of, opening, page, pairs, swatch, table, tile
 from congelation.report.study_page import study_content
+from congelation.report.study_verdict import study_verdict
 from congelation.report.summary import metric_definitions, summarise
-from congelation.report.verdict import run_verdict, settling_rule, study_verdict, tiles
+from congelation.report.verdict import run_verdict, settling_rule, tiles
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 

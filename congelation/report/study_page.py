@@ -13,10 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import counted
+from congelation.report.axes import FEW, axes_of, short_names, unit_of
 from congelation.report.curves import PICKED, Curve, Panel, curve_panels, draw_panels
 from congelation.report.page_shell import Drawn, swatch, table
 from congelation.report.summary import label_of, number, summarise
-from congelation.report.verdict import FEW, axes_of, settled, short_names, unit_of
+from congelation.report.verdict import settled
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 

@@ -12,32 +12,27 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnContext, SpawnProcess
 from types import ModuleType
 from typing import Any, ClassVar
 
-from pebble import ProcessExpired, ProcessPool
-
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.session import NOTICE
-from congelation.errors import CongelationError
 from congelation.fmi.calls import CALLS, NOTE_SIZE
 from congelation.places import StoreError
 from congelation.results.record import Outcome
 from congelation.sweep.execute import Job, Task
 
 __all__ = [
-    "NO_PROCESS",
     "PLACE",
     "SINCE",
     "TERMINATES",
     "WorkerProcess",
     "interrupts_held",
     "prepare",
-    "search_pool",
+    "without_main",
     "work",
 ]
 
@@ -49,60 +44,16 @@ _STARTING = threading.Lock()
 PLACE, SINCE = 0, 1
 """In what a process notes of the run under way: its place in the batch, and when it began."""
 
-NO_PROCESS = "no worker process can be started"
-
 TERMINATES = -2.0
 """In place of that: a run has ended, and its FMUs are being terminated."""
 
 
-class ChildProcess(SpawnProcess):
-    """A process that imports nothing of its parent's main module, and ends with its parent.
+class WorkerProcess(SpawnProcess):
+    """A process with a pipe to its parent, that imports nothing of the parent's main module.
 
     Python's own would run the script that started it once more, which then needs an ``if __name__
-    == "__main__"``, and cannot do so at all from standard input. Ctrl-C is the parent's alone.
+    == "__main__"``, and cannot do so at all from standard input.
     """
-
-    def start(self) -> None:
-        with _STARTING, interrupts_held(), _without_main(), _not_daemonic():
-            super().start()
-
-    def run(self) -> None:
-        _end_with_parent()
-        super().run()
-
-
-@contextmanager
-def search_pool(
-    size: int, prepare: Callable[..., None] | None = None, arguments: Sequence[Any] = ()
-) -> Iterator[ProcessPool]:
-    """Processes that solve the candidates of a search; they end with it, also if it is interrupted.
-
-    Raises
-    ------
-    CongelationError
-        If none can be started, or one ends before its candidate is solved.
-    """
-    context = SpawnContext()
-    context.Process = ChildProcess  # type: ignore[misc]
-    pool = ProcessPool(size, 0, prepare, arguments, context)
-    try:
-        with interrupts_held():  # a pool whose threads are only half started cannot be stopped
-            pool.schedule(int)
-        yield pool
-    except BrokenProcessPool as error:
-        raise CongelationError(f"{NO_PROCESS}: {error.__cause__ or error}") from error
-    except ProcessExpired as error:
-        raise CongelationError(
-            f"a process of the search ended before its candidate was solved: {error}"
-        ) from error
-    finally:
-        with interrupts_held():
-            pool.stop()
-            pool.join()
-
-
-class WorkerProcess(ChildProcess):
-    """One with a pipe to its parent, and memory in common with it."""
 
     def __init__(
         self, register: Callable[[Connection, WorkerProcess], None], **kwargs: Any
@@ -116,12 +67,14 @@ class WorkerProcess(ChildProcess):
         self.run_under_way = SpawnContext().RawArray("d", [-1.0, 0.0])
         receiver, self._sender = multiprocessing.Pipe(duplex=False)
         register, self._register = self._register, None  # it is not sent along
-        super().start()
+        with _STARTING, interrupts_held(), without_main(), _not_daemonic():
+            super().start()
         self._sender.close()
         if register is not None:
             register(receiver, self)
 
     def run(self) -> None:
+        _end_with_parent()
         # What FMUs print goes beside the results that the parent may print as JSON, not into them.
         os.dup2(2, 1)
         _Child.pipe, _Child.under_way = self._sender, self.run_under_way
@@ -130,7 +83,7 @@ class WorkerProcess(ChildProcess):
 
 
 @contextmanager
-def _without_main() -> Iterator[None]:
+def without_main() -> Iterator[None]:
     main = sys.modules["__main__"]
     sys.modules["__main__"] = ModuleType("__main__")
     try:

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 
 import casadi as ca
 
-from congelation.theory.gains import iss_weight, placed_filter_gain, smallest_feasible_r
+from congelation.theory.gains import placed_filter_gain
+from congelation.theory.iss_riccati import iss_weight, smallest_feasible_r
 from congelation.theory.model import Domain, Gain, Parameter, Variables, scalar, vector
 from congelation.theory.observer_form import checked_orders
 

@@ -21,7 +21,7 @@ import scipy
 from numpy.typing import ArrayLike, NDArray
 
 from congelation.errors import InfeasibleDesign, InvalidInput
-from congelation.theory.gains import upper_shift
+from congelation.theory.matrices import upper_shift
 
 __all__ = ["iss_lmi", "smallest_feasible_r_lmi"]
 
@@ -67,7 +67,8 @@ def iss_lmi(r: float, Q: ArrayLike) -> Matrix:
 def smallest_feasible_r_lmi(Q: ArrayLike) -> float:
     """The least r for which (41) has a solution, by one semidefinite programme.
 
-    An independent way to what `congelation.theory.gains.smallest_feasible_r` finds by bisection.
+    An independent way to what `smallest_feasible_r` of `congelation.theory.iss_riccati` finds by
+    bisection.
     """
     cp = _cvxpy()
     weight = np.asarray(Q, dtype=float)

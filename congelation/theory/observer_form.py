@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 
 from congelation.errors import InvalidInput
-from congelation.theory.gains import upper_shift
+from congelation.theory.matrices import upper_shift
 from congelation.theory.model import Input, Model, Output, State, Variables, scalar, vector
 from congelation.theory.options import disturbance as disturbance_of
 

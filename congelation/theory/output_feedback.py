@@ -60,6 +60,43 @@ class OutputFeedbackSymbols:
     D_hat: Variables | None = None
     gamma_D: Variables | None = None
 
+    @classmethod
+    def of(cls, rho: int, q: int, options: Options) -> OutputFeedbackSymbols:
+        """The symbols of a law of relative degree rho with q = m + 1 + n parameters."""
+        found = cls(
+            y=scalar("y", "Output y of the plant (27)"),
+            theta_hat=vector("theta_hat", q, "Estimate of [b, ell_a], (55)"),
+            rho_hat=scalar("rho_hat", "Estimate of 1/b_m, (54)"),
+            c=vector("c", rho, "Decay rates c_i of (49)-(51)"),
+            d=vector("d", rho, "Damping d_i against the estimation error, (49)-(51)"),
+            Gamma=matrix("Gamma", q, q, "Adaptation gain of (55)"),
+            gamma=scalar("gamma", "Adaptation gain of (54)"),
+            damping=scalar("damping", "True: Controller 1, with damping; false: Controller 2"),
+            sign_b_m=scalar("sign_b_m", "Sign of the high-frequency gain b_m, Assumption 3"),
+        )
+        if options.tracking:
+            found = replace(found, yr=reference(rho))
+        if options.unknown_radius:
+            found = replace(
+                found,
+                D_hat=scalar("D_hat", "Estimate of the damping that the unknown radius needs"),
+                gamma_D=scalar("gamma_D", "Adaptation gain of D_hat"),
+            )
+        else:
+            found = replace(
+                found,
+                delta=scalar("delta", "Radius of a(t), Assumption 2"),
+                delta_1=scalar("delta_1", "Radius of a_(n-1)(t) alone, at most delta"),
+                corrected=scalar("corrected", "True: corrected damping; false: as printed in (59)"),
+            )
+            if options.tracking:
+                weight = scalar("q", "Weight of the reference in Young's inequality")
+                found = replace(found, q=weight)
+            if options.disturbance:
+                weight = scalar("q_d", "Weight of the disturbance in Young's inequality")
+                found = replace(found, q_d=weight)
+        return found
+
     @property
     def z_1(self) -> ca.SX:
         """z_1 of (45): y, or y - y_r."""
@@ -201,38 +238,7 @@ def output_feedback_design(
             "(docs/theory.md, 'Varying input gain'); leave it out, or use form = 'strict-feedback'"
         )
     rho, q = checked_orders(n, m), m + 1 + n
-    symbols = OutputFeedbackSymbols(
-        y=scalar("y", "Output y of the plant (27)"),
-        theta_hat=vector("theta_hat", q, "Estimate of [b, ell_a], (55)"),
-        rho_hat=scalar("rho_hat", "Estimate of 1/b_m, (54)"),
-        c=vector("c", rho, "Decay rates c_i of (49)-(51)"),
-        d=vector("d", rho, "Damping d_i against the estimation error, (49)-(51)"),
-        Gamma=matrix("Gamma", q, q, "Adaptation gain of (55)"),
-        gamma=scalar("gamma", "Adaptation gain of (54)"),
-        damping=scalar("damping", "True: Controller 1, with damping; false: Controller 2"),
-        sign_b_m=scalar("sign_b_m", "Sign of the high-frequency gain b_m, Assumption 3"),
-    )
-    if chosen.tracking:
-        symbols = replace(symbols, yr=reference(rho))
-    if chosen.unknown_radius:
-        symbols = replace(
-            symbols,
-            D_hat=scalar("D_hat", "Estimate of the damping that the unknown radius needs"),
-            gamma_D=scalar("gamma_D", "Adaptation gain of D_hat"),
-        )
-    else:
-        symbols = replace(
-            symbols,
-            delta=scalar("delta", "Radius of a(t), Assumption 2"),
-            delta_1=scalar("delta_1", "Radius of a_(n-1)(t) alone, at most delta"),
-            corrected=scalar("corrected", "True: corrected damping; false: as printed in (59)"),
-        )
-        if chosen.tracking:
-            weight = scalar("q", "Weight of the reference in Young's inequality")
-            symbols = replace(symbols, q=weight)
-        if chosen.disturbance:
-            weight = scalar("q_d", "Weight of the disturbance in Young's inequality")
-            symbols = replace(symbols, q_d=weight)
+    symbols = OutputFeedbackSymbols.of(rho, q, chosen)
     filter_design = filter_factory(n)
     k_filter = KFilter(
         m,

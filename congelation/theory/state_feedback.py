@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from congelation.errors import InvalidInput
 from congelation.theory.adaptation import Adaptation, AdaptationFactory, Joint, gradient
 from congelation.theory.expressions import known_variations
-from congelation.theory.gains import upper_shift
+from congelation.theory.matrices import upper_shift
 from congelation.theory.model import Domain, Input, Model, Output, Parameter, State, Variables
 from congelation.theory.options import Options
 from congelation.theory.state_feedback_factors import (

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from congelation.errors import InvalidInput
 from congelation.theory.expressions import parse
-from congelation.theory.gains import upper_shift
+from congelation.theory.matrices import upper_shift
 from congelation.theory.model import Input, Model, Output, State, scalar, vector
 from congelation.theory.options import disturbance as disturbance_of
 

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from congelation.errors import InvalidInput, amount, nearest, shown
-from congelation.theory.gains import RULES, SYMMETRY_TOLERANCE
+from congelation.theory.gains import RULES
+from congelation.theory.matrices import SYMMETRY_TOLERANCE
 from congelation.theory.model import Domain, Gain, Model, Parameter
 
 __all__ = ["complete_values"]

@@ -131,9 +131,10 @@ struct table {
     double start, held, slope; /* of the piece last asked for */
 };
 
-/* A profile: what holds at all times, and terms with events. */
+/* A profile: what holds at all times, and terms with events; the level is all that is constant on the
+   piece last found. */
 struct profile {
-    double held, start;
+    double held, start, level;
     struct table table;
     int sine_count, term_count;
     sine *sines;

@@ -265,18 +265,20 @@ bool profile_segment(struct profile *profile, double t, double *start, double *e
         if (*end <= settled && !pieces_at(profile, settled, &ignored, end, why)) return false;
         *start = first;
     }
+    const struct table *table = &profile->table;
     profile->start = *start;
+    profile->level = profile->held;
+    for (int i = 0; i < profile->term_count; i++) profile->level += profile->pieces[i].held;
+    if (table->count) profile->level += table->held;
+    if (table->count && table->slope != 0.0)
+        profile->level += table->slope * (profile->start - table->start);
     return true;
 }
 
 double profile_value(const struct profile *profile, double t)
 {
-    double total = profile->held;
+    double total = profile->level;
     const struct table *table = &profile->table;
-    for (int i = 0; i < profile->term_count; i++) total += profile->pieces[i].held;
-    if (table->count) total += table->held;
-    if (table->count && table->slope != 0.0)
-        total += table->slope * (profile->start - table->start);
     for (int i = 0; i < profile->sine_count; i++) {
         const double *w = profile->sines[i];
         total += w[0] * sin(w[1] * t + w[2]);

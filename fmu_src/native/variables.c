@@ -80,9 +80,9 @@ void input_cubics(struct instance *in)
 /* Whether all values of a role are finite; those that are not are reported. */
 static bool are_finite(struct instance *in, enum role role, const double *values, int count)
 {
-    bool finite = true;
-    for (int i = 0; i < count; i++) finite = finite && isfinite(values[i]);
-    if (finite) return true;
+    int faults = 0;
+    for (int i = 0; i < count; i++) faults |= !isfinite(values[i]);
+    if (!faults) return true;
     for (int vr = 0; vr < VARIABLE_COUNT; vr++) {
         const struct variable *variable = VARIABLES + vr;
         if (variable->role != role || variable->index >= count

@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 import zipfile
 from pathlib import Path
 
@@ -371,3 +372,43 @@ def test_a_scheduler_ends_a_run_like_ctrl_c(tmp_path: Path, number: signal.Signa
     assert run.returncode == 130
     assert "Traceback" not in errors
     assert errors.splitlines()[-1] == "congelation: interrupted after 0 of 2 runs"
+
+
+@pytest.mark.parametrize("after", [0.3, 3.0], ids=["while it is loaded", "while processes start"])
+def test_an_interrupted_search_leaves_no_traceback_of_its_processes(
+    tmp_path: Path, after: float
+) -> None:
+    """A terminal sends Ctrl-C to the command and to its processes."""
+    run = start("attack", write(tmp_path), "--workers", 2, "--effort", 9, "--out", tmp_path / "a")
+    time.sleep(after)
+    os.killpg(run.pid, signal.SIGINT)
+    _, errors = run.communicate(timeout=60)
+    assert run.returncode == 130, errors
+    assert "Traceback" not in errors
+
+
+def test_dollars_in_a_name_are_no_formula(tmp_path: Path) -> None:
+    name = ('"Controller 2"', "'5$ of 10$_x, \\frac{1$'")
+    scenario = write(tmp_path, SCALAR, name)
+    done = congelation("run", scenario, "--out", tmp_path / "out", "--progress", "quiet")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "out" / "figures" / "loop.png").is_file()
+
+
+def test_a_search_from_standard_input_has_processes_too() -> None:
+    script = (
+        "import congelation as cg\n"
+        "found = cg.attack('scenarios/scalar.toml', variants=['Controller 2'],\n"
+        "                  objectives=['peak', 'ise'], effort=0.01, workers=2)\n"
+        "print(len(found.finds))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-"],
+        input=script,
+        capture_output=True,
+        text=True,
+        env=environment(),
+        cwd=ROOT,
+        timeout=120,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "2\n", "")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Lock
 
 import lag
 import pytest
+
+from congelation.conformance.checker import Checker
 
 
 @pytest.fixture(scope="session")
@@ -27,3 +29,10 @@ def library(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], bytes]:
 def correct(library: Callable[[str], bytes], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The correct FMU."""
     return lag.build(tmp_path_factory.mktemp("correct"), library(""))
+
+
+@pytest.fixture(scope="module", autouse=True)
+def checking(correct: Path) -> Iterator[None]:
+    """A check under way all the time: what forks processes for it does so for all in a module."""
+    with Checker(correct):
+        yield

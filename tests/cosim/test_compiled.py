@@ -62,9 +62,9 @@ def assert_equal(fast: Result, slow: Result) -> None:
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_scenarios(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     scenario = load_scenario(ROOT / "scenarios" / f"{name}.toml")
-    for variant in scenario.variants[:3]:
+    for variant in scenario.variants[:2]:
         case = scenario.case(variant.settings)
-        stop = min(case.experiment.stop_time, 1.0)
+        stop = min(case.experiment.stop_time, 0.7)  # theta jumps at 0.65 s
         shortened = replace(case.experiment, stop_time=stop, output_interval=None)
         if shortened.tolerance is not None:
             assert_equal(*both(monkeypatch, case.system, shortened))

@@ -32,6 +32,19 @@ def test_a_band_is_laid_over_the_maxima_of_the_difference():
     assert (found >= MARGIN * 2.0 * np.abs(difference[:, 0])).all()
 
 
+def test_an_error_that_alternates_is_not_taken_for_half_of_the_other_run():
+    """The second run has made twice as many steps, by which such errors decay."""
+    time = np.linspace(0.0, 10.0, 1001)
+    difference = ((-1.0) ** np.arange(1001) * np.sin(0.1 * np.pi * time) ** 2)[:, None]
+    found = bands(time, difference, 1.0, every_step=True)[1:-1]
+    usual = bands(time, difference, 1.0)[1:-1]
+    np.testing.assert_allclose(found[100:-100] / usual[100:-100], 0.5, rtol=0.02)
+    assert (found >= np.abs(difference[1:-1])).all()
+    smooth = np.sin(5.0 * time)[:, None]
+    same = bands(time, smooth, 1.0, every_step=True)
+    np.testing.assert_allclose(same, bands(time, smooth, 1.0), rtol=1e-3)
+
+
 def test_a_band_follows_the_times_and_not_the_rows():
     time = np.concatenate([np.linspace(0.0, 1.0, 1000), np.linspace(1.1, 10.0, 10)])
     difference = np.zeros((len(time), 1))

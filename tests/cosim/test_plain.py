@@ -7,7 +7,7 @@ from scipy.linalg import expm
 
 from congelation.cosim import Component, Connection, SlavePool, Status, System, simulate
 
-from .c_fmus import plain_fmu, truck_fmu
+from .c_fmus import SOURCES, plain_fmu, truck_fmu
 from .monolithic import order
 
 STIFFNESS, MASS, SPEED = 1e5, 100.0, 0.1
@@ -224,8 +224,48 @@ def test_a_completed_run_is_terminated_and_an_instance_reset_only_for_the_next(
         assert simulate(system, stop_time=1.0, step=0.5, pool=pool).completed
         assert notes.read_text() == ""
         assert simulate(system, stop_time=1.0, step=0.5, pool=pool).completed
-        assert notes.read_text() == "TR"
-    assert notes.read_text() == "TRT"
+        # The second reset follows the comparison with a new instance.
+        assert notes.read_text() == "TRR"
+    assert notes.read_text() == "TRRT"
+
+
+@pytest.mark.parametrize("left", ["*m = before;", "m->x = 0.0;"], ids=["nothing", "states"])
+def test_an_fmu_whose_reset_is_incomplete_is_instantiated_anew(tmp_path, left):
+    """x' = u1: a run with u1 = 5, and two with the default 0."""
+    source = (SOURCES / "plain.c").read_text()
+    reset = "*m = (Model){.callbacks = m->callbacks};"
+    (tmp_path / "plain.c").write_text(
+        source.replace(reset, "Model before = *m; (void)before; " + left)
+    )
+    fmu = plain_fmu(tmp_path, source=tmp_path / "plain.c")
+    five = System((Component("a", fmu, {"u1": 5.0, "b1": 1.0, "x0": 1.0}),))
+    plain = System((Component("a", fmu, {"b1": 1.0}),))
+    with SlavePool() as pool:
+        results = [
+            simulate(system, stop_time=1.0, step=0.5, record=["a.y"], pool=pool)
+            for system in (five, plain, plain)
+        ]
+    assert [r.values[:, 0].tolist() for r in results] == [[1.0, 3.5, 6.0], [0.0] * 3, [0.0] * 3]
+    named = "is instantiated anew for each run, as fmi2Reset does not make it as new: "
+    assert [named in r.message for r in results] == [False, True, True]
+
+
+def test_a_trial_leaves_nothing_behind_where_reset_is_incomplete(tmp_path):
+    """Two integrators, x' = y, y' = x, from 1: both are e^t. The pool is lent to trial and run."""
+    source = (SOURCES / "plain.c").read_text()
+    assert source.count("*m = (Model)") == 1
+    (tmp_path / "plain.c").write_text(source.replace("*m = (Model)", "(void)(Model)"))
+    fmu = plain_fmu(tmp_path, declares=True, source=tmp_path / "plain.c")
+    start = {"b1": 1.0, "x0": 1.0}
+    system = System(
+        (Component("a", fmu, start), Component("b", fmu, start)),
+        (Connection("a.y", "b.u1"), Connection("b.y", "a.u1")),
+    )
+    with SlavePool() as pool:
+        for _ in range(2):
+            result = simulate(system, stop_time=1.0, step=0.01, record=["a.y"], pool=pool)
+            assert result.values[0, 0] == 1.0
+            assert result.values[-1, 0] == pytest.approx(np.e, rel=1e-4)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 
 from congelation.errors import CongelationError, InvalidInput
 from congelation.report.run_page import write_html
-from congelation.report.verdict import study_verdict
+from congelation.report.study_verdict import study_verdict
 from congelation.results.results import Results
 from tests.report.stored import stored, stored_failures, stored_study
 

@@ -8,7 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from congelation.report.verdict import axes_of, run_verdict, short_names, study_verdict
+from congelation.report.axes import axes_of, short_names
+from congelation.report.study_verdict import study_verdict
+from congelation.report.verdict import run_verdict
 from congelation.results.record import RunRecord, Study
 from congelation.scenario.load import load_scenario
 from congelation.sweep.plan import plan_study

@@ -121,6 +121,7 @@ def test_the_printed_commands_answer_the_question(
     (tmp_path / "fmus").mkdir()
     for fmu in FMUS.glob("*.fmu"):
         (tmp_path / "fmus" / fmu.name).symlink_to(fmu)
+    (tmp_path / "fmus" / "native").symlink_to(FMUS / "native")
     file = tmp_path / "scenarios" / f"{name}.toml"
     # A loop that has to settle takes longer; some saturated ones diverge after 0.06 s.
     stop_time = {"study_design": 3.0, "rivals_attack": 3.0}.get(name, 0.05)

@@ -251,6 +251,30 @@ def test_a_linear_pair_of_held_inputs_takes_tens_of_steps(tmp_path: Path) -> Non
     assert [end["p.y"], end["c.y"]] == pytest.approx(exact, abs=1e-3)
 
 
+def test_what_nobody_listens_to_is_as_accurate(tmp_path: Path) -> None:
+    """x' = -3 x, x(0) = 1, and behind it w' = -w + x: w(1) = (e^-1 - e^-3) / 2."""
+    fmu = plain_fmu(tmp_path)
+    chain = Scenario(
+        title="A chain",
+        system=System(
+            (
+                Component("s", fmu, {"a": -3.0, "x0": 1.0, "u1": 0.0, "u2": 0.0}),
+                Component("i", fmu, {"a": -1.0, "b1": 1.0, "u2": 0.0}),
+            ),
+            (Connection("s.y", "i.u1"),),
+        ),
+        experiment=Experiment(stop_time=1.0, step=0.1),
+    )
+    write_ssp(chain, tmp_path / "chain.ssp")
+    found = read_ssp(without_annotations(tmp_path / "chain.ssp"))
+    assert found.experiment.tolerance == 1e-4
+    results = run(found, out=tmp_path / "out")
+    (row,) = results.runs
+    trajectory = results.trajectory(row.run_id)
+    end = dict(zip(trajectory.columns, trajectory.values[-1], strict=True))
+    assert end["i.y"] == pytest.approx((np.exp(-1.0) - np.exp(-3.0)) / 2.0, abs=1e-3)
+
+
 def test_fmus_that_cannot_step_back_have_their_steps_predicted(
     archive: Path, tmp_path: Path
 ) -> None:
@@ -552,6 +576,13 @@ def test_what_cannot_be_read_is_said_in_one_line(
     assert text in str(caught.value)
     assert str(caught.value).startswith(str(file))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", ["[" * 99_999, "9" * 5001], ids=["deep", "long"])
+def test_an_annotation_that_json_cannot_hold_is_one_line(archive: Path, value: str) -> None:
+    file = changed(archive, SSD, ('"title": ', f'"more": {value}, "title": '))
+    with pytest.raises(InvalidInput, match="annotation 'congelation': no JSON"):
+        read_ssp(file)
 
 
 def test_what_is_no_archive(archive: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import casadi as ca
 import numpy as np
 from hypothesis import strategies as st
 
-from congelation.theory.gains import iss_weight, smallest_feasible_r
+from congelation.theory.iss_riccati import iss_weight, smallest_feasible_r
 from congelation.theory.model import Model
 
 seeds = st.integers(min_value=0, max_value=2**32 - 1)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from congelation.theory.certificate import PerturbationSet
 from congelation.theory.closed_loop import SmoothPiece, close
-from congelation.theory.gains import iss_riccati, iss_weight
+from congelation.theory.iss_riccati import iss_riccati, iss_weight
 from congelation.theory.lyapunov import output_feedback_certificate, state_feedback_certificate
 from congelation.theory.observer_form import observer_form_plant
 from congelation.theory.output_feedback import output_feedback_controller

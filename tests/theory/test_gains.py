@@ -12,19 +12,16 @@ from hypothesis import strategies as st
 from congelation.errors import InfeasibleDesign, InvalidInput
 from congelation.theory.gains import (
     RULES,
-    filter_matrix,
     filter_norm,
     filter_riccati,
     hurwitz_filter_gain,
     iss_filter_gain,
     iss_filter_gain_varying_b,
-    iss_riccati,
-    iss_weight,
     matched_riccati,
     placed_filter_gain,
-    smallest_feasible_r,
-    upper_shift,
 )
+from congelation.theory.iss_riccati import iss_riccati, iss_weight, smallest_feasible_r
+from congelation.theory.matrices import filter_matrix, upper_shift
 
 from .systems import least_r, random_definite, seeds
 

@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from congelation.theory.gains import filter_matrix, iss_filter_gain, iss_riccati, iss_weight
+from congelation.theory.gains import iss_filter_gain
+from congelation.theory.iss_riccati import iss_riccati, iss_weight
 from congelation.theory.kfilter import KFilter
+from congelation.theory.matrices import filter_matrix
 from congelation.theory.model import vector
 from congelation.theory.observer_form import observer_form_plant, parameter_regressor
 

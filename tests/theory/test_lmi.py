@@ -8,14 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from congelation.errors import InfeasibleDesign, InvalidInput
-from congelation.theory.gains import (
-    filter_matrix,
-    iss_riccati,
-    iss_weight,
-    smallest_feasible_r,
-    upper_shift,
-)
+from congelation.theory.iss_riccati import iss_riccati, iss_weight, smallest_feasible_r
 from congelation.theory.lmi import iss_lmi, smallest_feasible_r_lmi
+from congelation.theory.matrices import filter_matrix, upper_shift
 
 from .systems import random_definite, seeds
 

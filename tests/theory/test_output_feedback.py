@@ -10,9 +10,11 @@ from hypothesis import given, settings
 
 from congelation.errors import InfeasibleDesign, InvalidInput
 from congelation.theory.closed_loop import close
-from congelation.theory.gains import filter_matrix, iss_filter_gain, iss_riccati, iss_weight
+from congelation.theory.gains import iss_filter_gain
+from congelation.theory.iss_riccati import iss_riccati, iss_weight
 from congelation.theory.kfilter import standard_filter, varying_b_filter
 from congelation.theory.lyapunov import output_feedback_certificate
+from congelation.theory.matrices import filter_matrix
 from congelation.theory.observer_form import observer_form_plant
 from congelation.theory.output_feedback import (
     output_feedback_controller,

@@ -13,8 +13,9 @@ import pytest
 
 from congelation.theory import output_feedback, state_feedback
 from congelation.theory.closed_loop import close
-from congelation.theory.gains import filter_matrix, iss_riccati, iss_weight
+from congelation.theory.iss_riccati import iss_riccati, iss_weight
 from congelation.theory.lyapunov import output_feedback_certificate, state_feedback_certificate
+from congelation.theory.matrices import filter_matrix
 from congelation.theory.observer_form import observer_form_plant
 from congelation.theory.strict_feedback import strict_feedback_plant
 

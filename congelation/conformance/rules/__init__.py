@@ -1,7 +1,7 @@
 """The rules: `RULES`, in the order in which they are reported.
 
 Each module registers its rules as it is imported. What is common to all kinds of FMU is in
-`package`, `document`, `variables` and `structure`; `exchange` is about model exchange, the rest
+`package`, `document`, `variables` and `structure`; `exchange_..` is about model exchange, the rest
 about co-simulation. Rules for FMI 3.0 are further modules here, with a bench that knows their
 functions.
 
@@ -33,7 +33,10 @@ _MODULES = (
     "capabilities",
     "fmustate",
     "serialization",
-    "exchange",
+    "exchange_modes",
+    "exchange_states",
+    "exchange_kinds",
+    "exchange_flags",
     "logging",
     "robustness",
 )

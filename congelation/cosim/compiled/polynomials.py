@@ -12,7 +12,7 @@ import numpy.typing as npt
 from congelation.cosim.compiled.base import Compiled
 from congelation.cosim.compiled.structures import Grid, Memory, Plan, State
 from congelation.cosim.coupling.derivative import DerivativePlan
-from congelation.cosim.coupling.hermite import HermitePlan, HermiteState
+from congelation.cosim.coupling.feedback import HermitePlan, HermiteState
 from congelation.cosim.coupling.points import KEPT, Points
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar
 
 import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.broyden import broyden_step, learnt
 from congelation.cosim.coupling.base import AdaptiveStepper, Coupling, Trial
+from congelation.cosim.coupling.feedback import Feedback, HermitePlan, HermiteState
 from congelation.cosim.coupling.interpolant import (
     HIGH,
     LOW,
@@ -29,7 +30,7 @@ from congelation.cosim.system import MAX_DERIVATIVE
 from congelation.errors import InvalidInput
 from congelation.fmi.slave import StepDiscarded
 
-__all__ = ["Hermite", "HermitePlan", "HermiteState", "HermiteStepper"]
+__all__ = ["Hermite", "HermiteStepper"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -157,102 +158,6 @@ class Hermite(Coupling):
         return HermiteStepper(ensemble, self, tolerance)
 
 
-class HermiteState(NamedTuple):
-    """The state of `hermite` at a communication point.
-
-    Parameters
-    ----------
-    points : Points
-        What the links are and were.
-    order : int
-        LOW or HIGH: of the next step, if there is a point before it.
-    J : array, shape (n, n)
-        Approximate Jacobian of an iteration, see _Feedback.
-    length : float
-        The step for which J holds, in seconds; 0 where there is none yet.
-    """
-
-    points: Points
-    order: int
-    J: Floats
-    length: float
-
-
-class HermitePlan(NamedTuple):
-    """What `hermite` is on a system, for the compiled loop.
-
-    Parameters
-    ----------
-    halves, saves : bool
-        Whether steps are made again in halves; whether fixed ones are repeated.
-    highest : int
-        LOW or HIGH.
-    chooses : bool
-        Whether each step may have another order.
-    accelerates : bool
-    max_iterations : int
-    iterations : int
-        Plain ones, exactly so many; 0: as many as it takes.
-    accuracy, unsettled : float
-        Change at which iterations end, and at which they do where they better it no more.
-    holds_some : list of bool, one per slave
-        Whether an input takes no derivative.
-    back : integer array, shape (n / 2,)
-        The links that are fed back.
-    forward : boolean array, shape (slaves, L)
-        The links whose source is that slave, and steps before their target.
-    """
-
-    halves: bool
-    saves: bool
-    highest: int
-    chooses: bool
-    accelerates: bool
-    max_iterations: int
-    iterations: int
-    accuracy: float
-    unsettled: float
-    holds_some: list[bool]
-    back: npt.NDArray[np.intp]
-    forward: npt.NDArray[np.bool_]
-
-
-class _Feedback:
-    """The links whose source steps after their target (or is the target): an iteration needs
-    their ends before it knows them.
-
-    The unknowns z of the iterations are value and derivative at the end of the step of each such
-    link, n in all, scaled by nominal value plus size, derivatives by that over the step length.
-
-    Attributes
-    ----------
-    start : integer array, shape (n / 2,)
-        The links.
-    given, found : integer arrays, shape (n,)
-        Places of the unknowns in the flattened data of a Piece, and of what an iteration makes of
-        them in the flattened ends that are read.
-    nominal : array, shape (n / 2,)
-    """
-
-    def __init__(self, ensemble: Ensemble) -> None:
-        back = [k for k, link in enumerate(ensemble.links) if link.source >= link.target]
-        count = len(ensemble.links)
-        self.start = np.array(back, np.intp)
-        self.given = np.array([row * count + k for row in (2, 3) for k in back], np.intp)
-        self.found = np.array([row * count + k for row in (0, 1) for k in back], np.intp)
-        self.nominal = ensemble.nominal[back]
-
-    def scales(self, data: Floats, length: float) -> Floats:
-        """Sizes of the unknowns, shape (n,)."""
-        scale = np.abs(data[0].take(self.start))
-        scale += self.nominal
-        return np.concatenate([scale, scale / length])
-
-    def worst(self, r: Floats) -> int:
-        """The link of the largest residual r, shape (n,)."""
-        return int(self.start[np.abs(r).reshape(2, -1).max(axis=0).argmax()])
-
-
 class HermiteStepper(AdaptiveStepper[HermiteState]):
     """`hermite` at work."""
 
@@ -276,7 +181,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         self._unsettled = self._accuracy
         if tolerance is not None:
             self._unsettled = tolerance * SHARE_OF_TOLERANCE
-        self._feedback = _Feedback(ensemble)
+        self._feedback = Feedback(ensemble)
         # Ends of inputs from slaves before their target are known once these have stepped, and
         # enter the polynomials of the same iteration.
         slaves, links = range(len(ensemble.slaves)), ensemble.links
@@ -358,10 +263,40 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         return trial.state
 
     def attempt(self, state: HermiteState, time: float, end: float) -> Trial[HermiteState]:
-        """Iterate until the ends that are fed back settle."""
+        """Iterate until the ends that are fed back settle, and estimate the error."""
+        piece = opened(state.points, end, state.order, self._reader)
+        found = self._settled(state, piece, time, end)
+        if isinstance(found, Trial):
+            return found
+        new, J = found
+        length = end - time
+        points = state.points.followed(end, new)
+        if not new.size:
+            return Trial(HermiteState(points, self._highest, J, length), 0.0, LOW, 0)
+        if self.predicts:
+            value, slope = state.points.now
+            missed = np.abs(value + length * slope - new[0])
+            error, worst = self._relative(missed, new)
+            return Trial(HermiteState(points, LOW, J, length), error, HELD, worst, missed)
+        distances = estimated_error(piece, state.points, end, new, high=self._highest == HIGH)
+        low, worst = self._relative(distances[0], new)
+        order, next_order = LOW, self._highest
+        error = low
+        if distances[1] is not None:
+            high, high_worst = self._relative(distances[1], new)
+            if self._tolerance is not None and self._coupling.order is None:
+                next_order = order_of_longer_step(low / self._tolerance, high / self._tolerance)
+            if state.order == HIGH:
+                error, order, worst = high, HIGH, high_worst
+        return Trial(HermiteState(points, next_order, J, length), error, order, worst)
+
+    def _settled(
+        self, state: HermiteState, piece: Piece, time: float, end: float
+    ) -> tuple[Floats, Floats] | Trial[HermiteState]:
+        """Values and derivatives at the end that agree with the inputs, shape (2, L), and what was
+        learnt of J; or a trial that says that the iterations did not settle."""
         coupling, feedback = self._coupling, self._feedback
         length = end - time
-        piece = opened(state.points, end, state.order, self._reader)
         w = piece.data.reshape(-1)
         scales = feedback.scales(piece.data, length)
         # What an input's end does to an output grows with the step, to first order.
@@ -396,34 +331,15 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
                 # The FMUs' own accuracy may leave a change that no iteration betters.
                 or (change <= self._unsettled and change > change_before / 2.0)
             ):
-                break
+                return new, J
             change_before = change
             if coupling.iterations is None and accelerates:
                 w[feedback.given] = (z + broyden_step(J, r)) * scales
             else:
                 w[feedback.given] = g
-        else:
-            if coupling.iterations is None:
-                return Trial(state, math.inf, LOW, feedback.worst(r))
-        points = state.points.followed(end, new)
-        if not new.size:
-            return Trial(HermiteState(points, self._highest, J, length), 0.0, LOW, 0)
-        if self.predicts:
-            value, slope = state.points.now
-            missed = np.abs(value + length * slope - new[0])
-            error, worst = self._relative(missed, new)
-            return Trial(HermiteState(points, LOW, J, length), error, HELD, worst, missed)
-        distances = estimated_error(piece, state.points, end, new, high=self._highest == HIGH)
-        low, worst = self._relative(distances[0], new)
-        order, next_order = LOW, self._highest
-        error = low
-        if distances[1] is not None:
-            high, high_worst = self._relative(distances[1], new)
-            if self._tolerance is not None and coupling.order is None:
-                next_order = order_of_longer_step(low / self._tolerance, high / self._tolerance)
-            if state.order == HIGH:
-                error, order, worst = high, HIGH, high_worst
-        return Trial(HermiteState(points, next_order, J, length), error, order, worst)
+        if coupling.iterations is None:
+            return Trial(state, math.inf, LOW, feedback.worst(r))
+        return new, J
 
     def _iterated(self, piece: Piece, points: Points, time: float, end: float) -> Floats:
         """All slaves once over the step, with the inputs' ends as they are known by now; values

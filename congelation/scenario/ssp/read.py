@@ -10,7 +10,7 @@ import itertools
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -420,7 +420,7 @@ def _experiment(
     root: etree._Element,
     annotated: object,
     components: Mapping[str, Mapping[str, object]],
-    connections: Iterable[str],
+    connections: Collection[str],
     archive: Archive,
     given: Mapping[str, object],
 ) -> object:
@@ -451,8 +451,12 @@ def _experiment(
         if all(_carries_polynomials(connection, components) for connection in connections):
             return {**table, "tolerance": _TOLERANCE}
         table = {**table, "tolerance": _TOLERANCE_OF_HELD_INPUTS}
-        if all(description.can_get_and_set_state for description in found):
-            # Steps made again in halves know their error best where inputs are held.
+        # Steps made again in halves know their error best where inputs are held, but only that of
+        # outputs which lead on: what nobody listens to could be wrong unseen.
+        able = all(description.can_get_and_set_state for description in found)
+        ends = [connection.split(" -> ") for connection in connections]
+        sources, targets = ({end.partition(".")[0] for end in e} for e in zip(*ends, strict=True))
+        if able and targets <= sources:
             return {"coupling": "derivative", **table}
         return table
     step = (table["stop_time"] - table.get("start_time", 0.0)) / _STEPS

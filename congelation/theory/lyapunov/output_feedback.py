@@ -14,7 +14,8 @@ from congelation.errors import InvalidInput
 from congelation.theory.adaptation import claim_of
 from congelation.theory.certificate import Certificate, Coordinates, PerturbationSet
 from congelation.theory.closed_loop import ClosedLoop
-from congelation.theory.gains import filter_norm, filter_riccati, iss_riccati, iss_weight
+from congelation.theory.gains import filter_norm, filter_riccati
+from congelation.theory.iss_riccati import iss_riccati, iss_weight
 from congelation.theory.kfilter import KFilter
 from congelation.theory.lyapunov.samplers import with_inverse_of, with_radius_of
 from congelation.theory.lyapunov.terms import (

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import casadi as ca
 import numpy as np
@@ -11,6 +11,7 @@ from congelation.theory.adaptation import claim_of
 from congelation.theory.certificate import Certificate, Coordinates, PerturbationSet
 from congelation.theory.closed_loop import ClosedLoop
 from congelation.theory.lyapunov.samplers import (
+    Sampler,
     with_bound_of,
     with_gain_of,
     with_radius_of,
@@ -59,28 +60,14 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
     solved = {"theta_hat": ell[:p] + drawn["error"]}
     perturbations, sample = ball(loop), within(law)
     if not known:
-        D = values["epsilon"].item() ** 2 * delta**2 / 2 if "epsilon" in values else delta
-        D_law = claim_of(values, "D_hat", 1)
-        terms += estimate_terms(D_law, D, state_of(loop, "D_hat"), values["gamma_D"])
-        drawn["D_error"] = ca.SX.sym("D_error")
-        solved["D_hat"] = D + drawn["D_error"]
-        if "epsilon" in values:
-            sample = with_radius_of(sample, D_law, values["epsilon"].item())
-        else:
-            sample = with_bound_of(sample, D_law)
-            drawn["root_of_eta"] = ca.SX.sym("root_of_eta")
-            solved["eta"] = drawn["root_of_eta"] ** 2
+        radius = _radius_terms(loop, delta, sample)
+        terms, sample = terms + radius.terms, radius.sample
+        drawn, solved = drawn | radius.drawn, solved | radius.solved
     if varying_gain:
-        sign, ell_b = values["sign_b"].item(), ell[p]
-        rho_law = claim_of(values, "rho_hat", 1)
-        rho_hat, weight = state_of(loop, "rho_hat"), sign * ell_b
-        terms += estimate_terms(rho_law, 1 / ell_b, rho_hat, values["gamma"], weight)
-        drawn["root"] = ca.SX.sym("root")
-        solved["rho_hat"] = sign * drawn["root"] ** 2  # sign_b rho_hat >= 0 for ever
-        perturbations, sample = (
-            _with_gain(loop, perturbations),
-            with_gain_of(sample, p, rho_law, sign),
-        )
+        gain = _gain_terms(loop, ell[p], p, sample)
+        terms, sample = terms + gain.terms, gain.sample
+        drawn, solved = drawn | gain.drawn, solved | gain.solved
+        perturbations = _with_gain(loop, perturbations)
     nominal = None
     if loop.controller.Upsilon is not None:  # theta at Delta = 0 is Upsilon(t) vartheta
         nominal = ca.vertcat(loop.controller.Upsilon @ ell[:p], ell[p : p + varying_gain])
@@ -105,6 +92,46 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
         ),
         nominal,
         terms.fall,
+    )
+
+
+@dataclass(frozen=True)
+class _Estimate:
+    """What one more estimate adds: to V, to what is drawn and the states that follow, to ell."""
+
+    terms: Terms
+    drawn: dict[str, ca.SX]
+    solved: dict[str, ca.SX]
+    sample: Sampler
+
+
+def _radius_terms(loop: ClosedLoop, delta: ca.SX, sample: Sampler) -> _Estimate:
+    """(D - D_hat)^2/(2 gamma_D), D = epsilon^2 delta^2/2, or delta for the bound estimator."""
+    values, law = loop.values, claim_of(loop.values, "D_hat", 1)
+    damped = "epsilon" in values
+    D = values["epsilon"].item() ** 2 * delta**2 / 2 if damped else delta
+    terms = estimate_terms(law, D, state_of(loop, "D_hat"), values["gamma_D"])
+    drawn = {"D_error": ca.SX.sym("D_error")}
+    solved = {"D_hat": D + drawn["D_error"]}
+    if damped:
+        return _Estimate(
+            terms, drawn, solved, with_radius_of(sample, law, values["epsilon"].item())
+        )
+    drawn["root_of_eta"] = ca.SX.sym("root_of_eta")
+    solved["eta"] = drawn["root_of_eta"] ** 2  # eta > 0
+    return _Estimate(terms, drawn, solved, with_bound_of(sample, law))
+
+
+def _gain_terms(loop: ClosedLoop, ell_b: ca.SX, place: int, sample: Sampler) -> _Estimate:
+    """|ell_b| (1/ell_b - rho_hat)^2/(2 gamma), with ell_b at `place` of ell."""
+    law, sign = claim_of(loop.values, "rho_hat", 1), loop.values["sign_b"].item()
+    rho_hat, gamma = state_of(loop, "rho_hat"), loop.values["gamma"]
+    drawn = {"root": ca.SX.sym("root")}
+    return _Estimate(
+        estimate_terms(law, 1 / ell_b, rho_hat, gamma, weight=sign * ell_b),
+        drawn,
+        {"rho_hat": sign * drawn["root"] ** 2},  # sign_b rho_hat >= 0 for ever
+        with_gain_of(sample, place, law, sign),
     )
 
 
