@@ -76,8 +76,7 @@ def checked(function: Callable[P, R]) -> Callable[P, R]:
             for value in given if several else (given,):
                 if name in hints() and not _admits(hints()[name], value):
                     raise InvalidInput(
-                        f"{function.__name__}: {name} = {_given(value)} is not valid; "
-                        f"give {_wanted(hints()[name])}"
+                        f"{name} = {_given(value)} is not valid; give {_wanted(hints()[name])}"
                     )
         return function(*arguments, **named)
 

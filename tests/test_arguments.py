@@ -64,19 +64,19 @@ RUN = {"stop_time": 1.0, "step": 0.1}
         ),
         (
             lambda: cg.simulate(SYSTEM, **RUN, record="plant.x"),
-            "simulate: record = 'plant.x' is not valid; give a list of texts",
+            "record = 'plant.x' is not valid; give a list of texts",
         ),
         (
             lambda: cg.simulate(SYSTEM, **RUN, output=0.5),
-            "simulate: output = 0.5 is not valid; give an Output or a list of Output",
+            "output = 0.5 is not valid; give an Output or a list of Output",
         ),
         (
             lambda: cg.simulate(SYSTEM, **RUN, options="x"),
-            "simulate: options = 'x' is not valid; give a dictionary with names as keys",
+            "options = 'x' is not valid; give a dictionary with names as keys",
         ),
         (
             lambda: cg.simulate(SYSTEM, **RUN, progress=1),
-            "simulate: progress = 1 is not valid; give a function",
+            "progress = 1 is not valid; give a function",
         ),
         (lambda: cg.Output(every=True), "Output: every = true is not valid; give an integer"),
         (
@@ -96,19 +96,19 @@ RUN = {"stop_time": 1.0, "step": 0.1}
         ),
         (
             lambda: cg.run(None),
-            "run: scenario = None is not valid; give a Scenario or a path",
+            "scenario = None is not valid; give a Scenario or a path",
         ),
         (
             lambda: cg.sweep("s.toml", retry="timed_out"),
-            "sweep: retry = 'timed_out' is not valid; give a list of texts",
+            "retry = 'timed_out' is not valid; give a list of texts",
         ),
         (
             lambda: cg.open_results(5),
-            "open_results: folder = 5 is not valid; give a path",
+            "folder = 5 is not valid; give a path",
         ),
         (
             lambda: cg.info("p.fmu", 5),
-            "info: fmus = 5 is not valid; give a path",
+            "fmus = 5 is not valid; give a path",
         ),
         (lambda: cg.Output(every=0), "every = 0 is not valid; give a whole number of at least 1"),
         (
@@ -141,20 +141,20 @@ RUN = {"stop_time": 1.0, "step": 0.1}
         ),
         (
             lambda: cg.load_scenario("s.toml", "x"),
-            "load_scenario: experiment = 'x' is not valid; give a dictionary with names as keys",
+            "experiment = 'x' is not valid; give a dictionary with names as keys",
         ),
         (
             lambda: cg.export_ssp("s.toml", "a.ssp"),
-            "export_ssp: scenario = 's.toml' is not valid; give a Scenario",
+            "scenario = 's.toml' is not valid; give a Scenario",
         ),
         (
             lambda: cg.build(["s.toml"]),
-            "build: specs = ['s.toml'] is not valid; give a Spec or a BlockSpec or a path",
+            "specs = ['s.toml'] is not valid; give a Spec or a BlockSpec or a path",
         ),
         (lambda: cg.check([]), "paths is empty; give the FMUs to check"),
         (
             lambda: cg.check("p.fmu"),
-            "check: paths = 'p.fmu' is not valid; give a list of paths",
+            "paths = 'p.fmu' is not valid; give a list of paths",
         ),
         (
             lambda: cg.check(["p.fmu"], jobs=0),
@@ -167,7 +167,7 @@ RUN = {"stop_time": 1.0, "step": 0.1}
         (lambda: Local(-1), "workers = -1 is not valid; give a whole number of at least 1"),
         (
             lambda: cg.verify(SYSTEM, None),
-            "verify: result = None is not valid; give a Result",
+            "result = None is not valid; give a Result",
         ),
     ],
 )

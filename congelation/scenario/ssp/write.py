@@ -90,7 +90,6 @@ def write_ssp(
     >>> scenario = cg.load_scenario("scenarios/scalar.toml")
     >>> cg.export_ssp(scenario, folder / "scalar.ssp", "Controller 2")
     """
-    file = Path(file)
     if step is not None and not 0.0 < step < math.inf:
         raise InvalidInput(f"step {step:g} is not valid; give a positive time in seconds")
     file = Path(file)
