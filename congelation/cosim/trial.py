@@ -205,14 +205,16 @@ class Trial:
         An FMU that fails otherwise than by an ability that it lacks leaves the choice to what is
         declared: the run will say what fails.
         """
-        try:
-            if self._system.links:
-                with self._begun(lender) as (session, jump):
-                    self._try_abilities(session.ensemble, jump)
-        except (SlaveError, SlaveTerminated, RunEnded) as error:
-            self.lack = self.lack or _lack_of(error, self._system)
-        if self.lack is None:
-            self._choose(lender)
+        # Values that are not finite are looked at by the run, which names them.
+        with np.errstate(over="ignore", invalid="ignore"):
+            try:
+                if self._system.links:
+                    with self._begun(lender) as (session, jump):
+                        self._try_abilities(session.ensemble, jump)
+            except (SlaveError, SlaveTerminated, RunEnded) as error:
+                self.lack = self.lack or _lack_of(error, self._system)
+            if self.lack is None:
+                self._choose(lender)
 
     @contextmanager
     def _begun(self, lender: SlavePool) -> Iterator[tuple[Session, float]]:
@@ -373,8 +375,13 @@ class Trial:
         chosen = self._length is None
         predicted = ", its steps chosen by how well inputs were predicted" if chosen else ""
         derivative = SEQUENCES[0]
-        if not self._system.links and not chosen:
-            self.coupling, self.why = derivative, "no numbers are exchanged"
+        if not self._system.links:
+            self.coupling = Derivative() if chosen else derivative
+            self.why = (
+                "all values that are exchanged are discrete"
+                if self._system.discrete_links
+                else "nothing is connected"
+            )
             return
         if self._able and (chosen or self._converges(lender)):
             self.coupling = Hermite(jumps="pass")
