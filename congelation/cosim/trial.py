@@ -51,6 +51,7 @@ proportion to a power of the time is at half of it or less; from a state that wa
 would end beyond 1."""
 
 REFUSED_LENGTH = "refuses the second one"
+REFUSED_STATE = "steps from a restored one are refused"
 
 ROUNDING = 1e-6
 """Relative changes up to this size show nothing."""
@@ -207,14 +208,25 @@ class Trial:
         """
         # Values that are not finite are looked at by the run, which names them.
         with np.errstate(over="ignore", invalid="ignore"):
-            try:
-                if self._system.links:
-                    with self._begun(lender) as (session, jump):
-                        self._try_abilities(session.ensemble, jump)
-            except (SlaveError, SlaveTerminated, RunEnded) as error:
-                self.lack = self.lack or _lack_of(error, self._system)
+            self._find_lack(lender)
+            doubt = self.lack
+            if doubt is not None and doubt.ability == LENGTHS and self._saves:
+                # The step that was refused began from a restored state: either may be the reason.
+                self._saves, self.lack = False, None
+                self._find_lack(lender)
+                if self.lack is None:
+                    refused = doubt.shown.replace(REFUSED_LENGTH, REFUSED_STATE)
+                    self.lack = doubt._replace(ability=STATES, shown=refused)
             if self.lack is None:
                 self._choose(lender)
+
+    def _find_lack(self, lender: SlavePool) -> None:
+        try:
+            if self._system.links:
+                with self._begun(lender) as (session, jump):
+                    self._try_abilities(session.ensemble, jump)
+        except (SlaveError, SlaveTerminated, RunEnded) as error:
+            self.lack = self.lack or _lack_of(error, self._system)
 
     @contextmanager
     def _begun(self, lender: SlavePool) -> Iterator[tuple[Session, float]]:
@@ -285,7 +297,7 @@ class Trial:
             if self._is_half_way(ensemble, m, before, after):
                 return
             slave.restore(state)
-        self._step(ensemble, m, start, h, STATES, "steps from a restored one are refused")
+        self._step(ensemble, m, start, h, STATES, REFUSED_STATE)
         self.lack = self._unlike(ensemble, m, before, after)
         self.calls += 3
 

@@ -122,3 +122,15 @@ def test_a_derivative_that_is_no_number_is_named(fmu):
     )
     assert result.status is Status.NON_FINITE
     assert result.message == "s.der(z) at t = 0 is nan"
+
+
+def test_states_without_the_time_are_told_from_steps_of_one_length(fmu):
+    """x' = -x + sin t, from an FMU that refuses a step from its restored state."""
+    connected = system(fmu, "s.s -> i.u", s={"fault": 2.0}, i={"a": -1.0})
+    result = simulate(connected, stop_time=1.0, tolerance=TOLERANCE, record=["i.x"])
+    assert result.status is Status.COMPLETED
+    assert (
+        "s declares states that can be saved and restored, but steps from a restored one are refused"
+    ) in result.choice
+    exact = (np.exp(-1.0) + np.sin(1.0) - np.cos(1.0)) / 2.0
+    assert result.values[-1, 0] == pytest.approx(exact, abs=10.0 * TOLERANCE)

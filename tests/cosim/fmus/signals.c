@@ -1,6 +1,7 @@
 /* Signals of time, and x' = a x + u + switch + level, which is solved exactly for held inputs:
    s = sin(w t), held = sin(5 k / 10) since t = k / 10, z = cos(50 t) with its derivative,
-   on = t >= 0.3337, count = floor(10 t). With `fault` the derivative of z is no number. */
+   on = t >= 0.3337, count = floor(10 t). With `fault` 1 the derivative of z is no number; with 2 the FMU
+   refuses steps that do not begin where the last one ended, and saved states are without its time. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -14,6 +15,7 @@ enum { U, X, S, HELD, Z, SLOPE, A, W, FAULT, COUNT };
 typedef struct {
     double v[COUNT], x, t;
     int switched, level;
+    double *ended;
 } Model;
 
 static const Model NEW = {.v = {[W] = 1.0}};
@@ -26,14 +28,18 @@ fmi2Component fmi2Instantiate(fmi2String name, fmi2Type type, fmi2String guid, f
                               fmi2Boolean logging) {
     Model *m = malloc(sizeof(Model));
     *m = NEW;
+    m->ended = calloc(1, sizeof(double));
     return m;
 }
 
-void fmi2FreeInstance(fmi2Component c) { free(c); }
+void fmi2FreeInstance(fmi2Component c) {
+    free(((Model *)c)->ended);
+    free(c);
+}
 
 fmi2Status fmi2SetupExperiment(fmi2Component c, fmi2Boolean a, fmi2Real b, fmi2Real start,
                                fmi2Boolean d, fmi2Real stop) {
-    ((Model *)c)->t = start;
+    ((Model *)c)->t = *((Model *)c)->ended = start;
     return fmi2OK;
 }
 
@@ -46,7 +52,7 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
         case S: value[i] = sin(m->v[W] * m->t); break;
         case HELD: value[i] = sin(0.5 * counted(m)); break;
         case Z: value[i] = cos(50.0 * m->t); break;
-        case SLOPE: value[i] = m->v[FAULT] > 0 ? NAN : -50.0 * sin(50.0 * m->t); break;
+        case SLOPE: value[i] = m->v[FAULT] == 1 ? NAN : -50.0 * sin(50.0 * m->t); break;
         default: value[i] = m->v[r[i]];
     }
     return fmi2OK;
@@ -84,6 +90,8 @@ fmi2Status fmi2SetInteger(fmi2Component c, const fmi2ValueReference r[], size_t 
 
 fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     Model *m = c;
+    if (m->v[FAULT] == 2 && fabs(t - *m->ended) > 1e-12) return fmi2Error;
+    *m->ended = t + h;
     double a = m->v[A], b = m->v[U] + m->switched + m->level;
     m->x = exp(a * h) * m->x + (a == 0 ? h : expm1(a * h) / a) * b;
     m->t = t + h;
@@ -91,7 +99,9 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
 }
 
 fmi2Status fmi2Reset(fmi2Component c) {
+    double *ended = ((Model *)c)->ended;
     *(Model *)c = NEW;
+    ((Model *)c)->ended = ended;
     return fmi2OK;
 }
 
