@@ -130,7 +130,8 @@ def test_states_without_the_time_are_told_from_steps_of_one_length(fmu):
     result = simulate(connected, stop_time=1.0, tolerance=TOLERANCE, record=["i.x"])
     assert result.status is Status.COMPLETED
     assert (
-        "s declares states that can be saved and restored, but steps from a restored one are refused"
+        "s declares states that can be saved and restored, but steps from a restored one are "
+        "refused"
     ) in result.choice
     exact = (np.exp(-1.0) + np.sin(1.0) - np.cos(1.0)) / 2.0
     assert result.values[-1, 0] == pytest.approx(exact, abs=10.0 * TOLERANCE)
