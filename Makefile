@@ -59,7 +59,7 @@ demo: fmus
 	@$(BIN)/python -m congelation.report.index results
 
 # Three processes on two cores, as tests that wait for processes leave one idle; the longest files first.
-PYTEST := $(BIN)/python -m pytest -n 3 --dist loadfile --no-loadscope-reorder
+PYTEST = $(BIN)/python -m pytest -n $(1) --dist loadfile --no-loadscope-reorder
 
 # Debian's packages that tests use; a test that lacks one is skipped, and says so.
 SYSTEM_PACKAGES := chromium cppcheck
@@ -86,10 +86,11 @@ test-platforms: fmus
 # Where the system's packages can be had, they are installed; else the tests say what they skipped.
 test: fmus .venv-cofmupy/installed
 	-@if test "$$(id -u)" = 0 && command -v apt-get >/dev/null; then $(MAKE) --no-print-directory system-packages; fi
-	$(PYTEST)
+	$(call PYTEST,3)
 
+# These wait for nothing, and each process has to collect them all.
 test-fast: fmus
-	$(PYTEST) -m "not slow"
+	$(call PYTEST,2) -m "not slow"
 
 SECONDS_OF_MUTATIONS = 600
 fuzz: fmus

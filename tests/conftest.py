@@ -39,6 +39,8 @@ SLOW = (
     "benchmarks",
     "cli",
     "conformance",
+    "cosim/test_built_fmus.py",
+    "cosim/test_choice.py",
     "cosim/test_compiled.py",
     "cosim/test_couplings.py",
     "cosim/test_output.py",
@@ -50,14 +52,18 @@ SLOW = (
     "native",
     "package",
     "report/test_browser.py",
+    "report/test_figures.py",
     "scenario/test_shipped.py",
     "scenario/test_ssp.py",
     "sweep",
+    "theory/test_extensions.py",
     "theory/test_weakened.py",
+    "verify/test_certify.py",
+    "verify/test_laws.py",
     "verify/test_measure.py",
 )
-"""Folders and files whose tests run processes, hosts, engines, all scenarios; `make test-fast`
-leaves them out."""
+"""Folders and files whose tests run processes, hosts, engines, all scenarios, or take some seconds
+of processor time in all; `make test-fast` leaves them out."""
 
 
 @cache

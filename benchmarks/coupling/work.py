@@ -296,6 +296,7 @@ def _error(values: Floats, exact: Floats) -> float:
 def draw(points: list[Point], file: Path) -> None:
     """Error against processor time, one panel per problem."""
     from matplotlib.figure import Figure
+    from matplotlib.ticker import NullFormatter
 
     names = list(dict.fromkeys(point.problem for point in points))
     columns = 2
@@ -319,6 +320,7 @@ def draw(points: list[Point], file: Path) -> None:
                 **style,
             )
         axis.set(xscale="log", yscale="log", ylim=(LEAST, MOST), title=name)
+        axis.xaxis.set_minor_formatter(NullFormatter())  # within a decade they would overlap
         axis.grid(color="0.9", linewidth=0.5)
         axis.set_xlabel("processor time in s")
         axis.set_ylabel("error over peak")

@@ -77,8 +77,17 @@ class Checker:
         self._surveying = threading.Lock()
         self._ability: Ability | None = None
         self.scope, self.in_scope, self._obstacle = self._find_scope(static)
-        if not self._obstacle:
-            self._unzip()
+        if self._obstacle:
+            return
+        try:
+            for source, name in ((path, "fmu"), (self._companion, "companion")):
+                if source.is_dir():
+                    shutil.copytree(source, self._root / name)
+                    continue
+                with zipfile.ZipFile(source) as archive:
+                    archive.extractall(self._root / name)
+        except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
+            self._obstacle = f"the archive cannot be unzipped ({error}); see FMI2-PACK"
 
     def __enter__(self) -> Checker:
         self._children.open()
@@ -124,29 +133,15 @@ class Checker:
         why = ""
         if CO_SIMULATION not in kinds:
             why = "no FMU for co-simulation; model exchange is called in FMUs of both kinds alone"
-        elif not self._has_binary():
+        elif binary_path(Path(), description).as_posix() not in {
+            name.replace("\\", "/") for name in self._subject.names
+        }:
             why = f"no binary for this platform ({platform_folder()})"
         elif static:
             why = "dynamic rules were not asked for"
         if why:
             return f"{what}, {only}: {why}", True, why
         return f"{what}, static rules and dynamic rules on {platform_folder()}", True, ""
-
-    def _has_binary(self) -> bool:
-        wanted = binary_path(Path(), self._subject.description).as_posix()
-        return wanted in {name.replace("\\", "/") for name in self._subject.names}
-
-    def _unzip(self) -> None:
-        """Unpack the FMU and its companion, or note why that fails."""
-        try:
-            for path, name in ((self.path, "fmu"), (self._companion, "companion")):
-                if path.is_dir():
-                    shutil.copytree(path, self._root / name)
-                    continue
-                with zipfile.ZipFile(path) as archive:
-                    archive.extractall(self._root / name)
-        except (OSError, zipfile.BadZipFile, RuntimeError, NotImplementedError) as error:
-            self._obstacle = f"the archive cannot be unzipped ({error}); see FMI2-PACK"
 
     def _looked(self, rule: Rule) -> Verdict:
         if not self.in_scope:

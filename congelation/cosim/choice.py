@@ -9,11 +9,12 @@ from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from typing import Any
 
+from congelation.cosim.abilities import SLOPES, Lack
 from congelation.cosim.experiment import Experiment, require_resolved_periods, slave_tolerance
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.result import Result
 from congelation.cosim.system import Member, ResolvedSystem, System
-from congelation.cosim.trial import SLOPES, Lack, Trial, label
+from congelation.cosim.trial import Trial, label
 from congelation.errors import InvalidInput
 
 __all__ = ["Choice", "Lack", "chosen", "without"]

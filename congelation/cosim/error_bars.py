@@ -218,27 +218,7 @@ def _judged(
     notes: list[_Note] = []
     if mode == "order":
         order, notes = _observed(again, difference, ~switched, peaks, names)
-    if switches:
-        # Both runs may be late alike: what a variable changes over a step counts as well.
-        difference = np.maximum(difference, _by_late_switches(again, switched) / 2.0)
-    floor = max(FLOOR, SLAVE_FLOOR * (slave_tolerance(again.experiment) or 0.0)) * peaks
-    powers = np.full(difference.shape, np.maximum(order, LEAST_ORDER))
-    coupling = again.experiment.chosen_coupling
-    if isinstance(coupling, Derivative) or (
-        isinstance(coupling, Hermite) and coupling.iterations == 1
-    ):
-        begun = time <= again.points[: STARTING + 1][-1]
-        powers[begun] = np.minimum(powers[begun], 1.0)
-    if switches:
-        found = bands(time, difference, powers, peaks) * JITTER
-    else:
-        whole = statistics.parts == 1 and np.array_equal(time, again.points)
-        found = bands(time, signed, powers, peaks, every_step=whole)
-    found = np.maximum(found, floor)
-    # What is not resolved stays so: in chaos, a small difference later on is chance.
-    lost = np.logical_or.accumulate(found > ROUGH * peaks)
-    found = np.where(lost, np.maximum.accumulate(found), found)
-    found[:, switched] = window_maxima(time, difference[:, switched])
+    found, difference = _widths(again, signed, switched, order, peaks, switches=switches)
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num(found.max(axis=0) / peaks, nan=0.0)
     relative[switched] = (difference[:, switched] > 0.0).mean(axis=0)
@@ -263,6 +243,54 @@ def _judged(
         error=error,
         line=_line(blank, verdict, names, worst, at, bool(switched[worst]), notes),
     )
+
+
+def _widths(
+    again: Again,
+    signed: Floats,
+    switched: Mask,
+    order: float | Floats,
+    peaks: Floats,
+    *,
+    switches: bool,
+) -> tuple[Floats, Floats]:
+    """The bands, shape (N, M), from the difference of both runs; and its size that counts, in which
+    switches of both runs that are late alike are included.
+
+    Parameters
+    ----------
+    again : Again
+    signed : array, shape (N, M)
+        The values less those of the second run.
+    switched : array, shape (M,)
+    order : float or array, shape (M,)
+    peaks : array, shape (M,)
+    switches : bool
+        Whether anything switches, recorded or not.
+    """
+    time, statistics, difference = again.time, again.statistics, np.abs(signed)
+    if switches:
+        # Both runs may be late alike: what a variable changes over a step counts as well.
+        difference = np.maximum(difference, _by_late_switches(again, switched) / 2.0)
+    floor = max(FLOOR, SLAVE_FLOOR * (slave_tolerance(again.experiment) or 0.0)) * peaks
+    powers = np.full(difference.shape, np.maximum(order, LEAST_ORDER))
+    coupling = again.experiment.chosen_coupling
+    if isinstance(coupling, Derivative) or (
+        isinstance(coupling, Hermite) and coupling.iterations == 1
+    ):
+        begun = time <= again.points[: STARTING + 1][-1]
+        powers[begun] = np.minimum(powers[begun], 1.0)
+    if switches:
+        found = bands(time, difference, powers, peaks) * JITTER
+    else:
+        whole = statistics.parts == 1 and np.array_equal(time, again.points)
+        found = bands(time, signed, powers, peaks, every_step=whole)
+    found = np.maximum(found, floor)
+    # What is not resolved stays so: in chaos, a small difference later on is chance.
+    lost = np.logical_or.accumulate(found > ROUGH * peaks)
+    found = np.where(lost, np.maximum.accumulate(found), found)
+    found[:, switched] = window_maxima(time, difference[:, switched])
+    return found, difference
 
 
 class _Note(NamedTuple):

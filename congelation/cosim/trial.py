@@ -1,4 +1,4 @@
-"""The trial before a run: whether FMUs can do what they declare, and which coupling errs least.
+"""The trial before a run: which coupling errs least, of those that the FMUs can take.
 
 It makes a few steps with instances of its own, none of which is lent to the run: an FMU whose reset
 is incomplete would begin the run from what the trial has left.
@@ -9,15 +9,23 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
-from types import MappingProxyType
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from congelation.cosim.abilities import (
+    LENGTHS,
+    REFUSED_LENGTH,
+    REFUSED_STATE,
+    STATES,
+    Abilities,
+    Lack,
+    lack_of,
+)
 from congelation.cosim.coupling import Coupling, Derivative, GaussSeidel, Hermite, Stepper
 from congelation.cosim.coupling.points import Points
-from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.experiment import Experiment, divides, slave_tolerance, step_count
 from congelation.cosim.pool import SlavePool
@@ -29,90 +37,15 @@ from congelation.cosim.system import MAX_DERIVATIVE, ResolvedSystem
 from congelation.errors import SlaveError
 from congelation.fmi.slave import SlaveTerminated
 
-__all__ = ["ABILITIES", "SLOPES", "Lack", "Trial", "label"]
+__all__ = ["Trial", "label"]
 
 Floats = npt.NDArray[np.float64]
-
-# -- abilities ------------------------------------------------------------------------------------
 
 SHARE = 1e-3
 """Length of the steps that are tried, as a part of the horizon, if the experiment gives none."""
 
 BEFORE_JUMP = 0.25
 """Part of the time to the first announced jump after which a tried step ends."""
-
-REPEATED = 0.5
-"""Largest difference of a step from a restored state, relative to what the step changes; beyond it,
-the state was not restored."""
-
-HALF_WAY = (-0.1, 0.8)
-"""Where a step of half the length ends, as parts of what the whole one changed. A change in
-proportion to a power of the time is at half of it or less; from a state that was not restored, it
-would end beyond 1."""
-
-REFUSED_LENGTH = "refuses the second one"
-REFUSED_STATE = "steps from a restored one are refused"
-
-ROUNDING = 1e-6
-"""Relative changes up to this size show nothing."""
-
-STATES, SLOPES = "can_get_and_set_state", "max_output_derivative_order"
-CUBICS, LENGTHS = "can_interpolate_inputs", "can_vary_step"
-
-ABILITIES = MappingProxyType(
-    {
-        STATES: "states that can be saved and restored",
-        SLOPES: "derivatives of its outputs",
-        CUBICS: "inputs that follow polynomials",
-        LENGTHS: "steps of any length",
-    }
-)
-"""Abilities that an FMU may declare, by the name of their fields in its description."""
-
-CALLED = MappingProxyType(
-    {
-        "fmi2GetFMUstate": STATES,
-        "fmi2SetFMUstate": STATES,
-        "fmi2FreeFMUstate": STATES,
-        "fmi2GetRealOutputDerivatives": SLOPES,
-        "fmi2SetRealInputDerivatives": CUBICS,
-    }
-)
-"""The functions that go with an ability."""
-
-
-class Lack(NamedTuple):
-    """An ability that an FMU declares and does not have.
-
-    Parameters
-    ----------
-    component : str
-    ability : str
-        One of `ABILITIES`.
-    shown : str
-        What the trial showed.
-    """
-
-    component: str
-    ability: str
-    shown: str
-
-    def __str__(self) -> str:
-        return f"{self.component} declares {ABILITIES[self.ability]}, but {self.shown}"
-
-
-def _lack_of(error: Exception, system: ResolvedSystem) -> Lack | None:
-    """The ability that an FMU has declared and refuses."""
-    ability = CALLED.get(getattr(error, "call", ""))
-    if ability is None or not isinstance(error, SlaveError):
-        return None
-    member = next(m for m in system.members if m.name == error.component)
-    if not getattr(member.description, ability):
-        return None
-    return Lack(member.name, ability, f"refuses {error.call}: {error.message}")
-
-
-# -- measurement ----------------------------------------------------------------------------------
 
 MOST_STEPS, PART = 20, 0.05
 """Steps that are made before couplings are compared, at most, and as a part of the run."""
@@ -223,10 +156,9 @@ class Trial:
     def _find_lack(self, lender: SlavePool) -> None:
         try:
             if self._system.links:
-                with self._begun(lender) as (session, jump):
-                    self._try_abilities(session.ensemble, jump)
+                self._try_abilities(lender)
         except (SlaveError, SlaveTerminated, RunEnded) as error:
-            self.lack = self.lack or _lack_of(error, self._system)
+            self.lack = self.lack or lack_of(error, self._system)
 
     @contextmanager
     def _begun(self, lender: SlavePool) -> Iterator[tuple[Session, float]]:
@@ -246,137 +178,29 @@ class Trial:
             finally:
                 self.calls += ensemble.calls
 
-    # -- abilities ------------------------------------------------------------------------------
-
-    def _try_abilities(self, ensemble: Ensemble, jump: float) -> None:
-        """One component of each FMU makes a step, and again from the saved state.
+    def _try_abilities(self, lender: SlavePool) -> None:
+        """Find an ability that is declared and missing.
 
         Raises
         ------
-        SlaveError, SlaveTerminated
+        SlaveError, SlaveTerminated, RunEnded
             What an FMU refuses.
         """
         start, stop = self._experiment.start_time, self._experiment.stop_time
-        if self._length is None:
-            h = min(SHARE * (stop - start), BEFORE_JUMP * (jump - start))
-        else:
-            # Where lengths have to vary, a second step of half the length ends before the stop.
-            h = min(self._length, (stop - start) / (2.0 if self._varies else 1.0))
-        ensemble.C[:] = 0.0
-        ensemble.C[0] = ensemble.Y[ensemble.source]
-        known = ensemble.source_derivative != NO_DERIVATIVE
-        ensemble.C[1, known] = ensemble.Y[ensemble.source_derivative[known]]
-        tried = set()
-        for m, member in enumerate(self._system.members):
-            if self.lack is None and member.description.sha256 not in tried:
-                tried.add(member.description.sha256)
-                self._try_fmu(ensemble, m, start, h)
-
-    def _try_fmu(self, ensemble: Ensemble, m: int, start: float, h: float) -> None:
-        """What component m declares and the run may use: that its outputs have derivatives, that it
-        takes a second length, that its state is restored."""
         saves = self._saves and (self._varies or self._able or self._feeds_back)
-        if not (saves or self._varies or self._able):
-            return
-        slave, before = ensemble.slaves[m], ensemble.Y.copy()
-        state = slave.save() if saves else None
-        self._step(ensemble, m, start, h)
-        after = ensemble.Y.copy()
-        self.lack = self._flat(ensemble, m, before, after)
-        if self.lack is not None:
-            return
-        if state is None:
-            if self._varies:
-                self._step(ensemble, m, start + h, h / 2.0, LENGTHS, REFUSED_LENGTH)
-            return
-        slave.restore(state)
-        if self._varies:
-            # A step of half the length shows both that the state is restored and that lengths may
-            # vary, where it ends between start and end of the whole one.
-            self._step(ensemble, m, start, h / 2.0, LENGTHS, REFUSED_LENGTH)
-            if self._is_half_way(ensemble, m, before, after):
-                return
-            slave.restore(state)
-        self._step(ensemble, m, start, h, STATES, REFUSED_STATE)
-        self.lack = self._unlike(ensemble, m, before, after)
-        self.calls += 3
-
-    def _step(
-        self,
-        ensemble: Ensemble,
-        m: int,
-        time: float,
-        length: float,
-        ability: str = "",
-        shown: str = "",
-    ) -> None:
-        """Component m over a step, its inputs as they are in C.
-
-        Raises
-        ------
-        SlaveError
-            Where the FMU refuses the step and `ability` is given, `lack` is set to it.
-        """
-        self.steps += 1
-        self.calls += 1 + ensemble.write_calls[m] + ensemble.read_calls[m]
-        slave = ensemble.slaves[m]
-        ensemble.write[m]()
+        tried = Abilities(self._system, saves=saves, varies=self._varies, able=self._able)
         try:
-            slave.step(time, length)
-        except SlaveError as error:
-            if ability and getattr(self._system.members[m].description, ability):
-                self.lack = Lack(slave.name, ability, f"{shown}: {error.message}")
-            raise
-        ensemble.read[m]()
-
-    def _outputs(self, ensemble: Ensemble, m: int) -> list[int]:
-        """The links that come from component m."""
-        return [k for k, link in enumerate(ensemble.links) if link.source == m]
-
-    def _flat(self, ensemble: Ensemble, m: int, before: Floats, after: Floats) -> Lack | None:
-        """Whether outputs change while the FMU says that none of their derivatives is other than
-        zero."""
-        own = [
-            k
-            for k in self._outputs(ensemble, m)
-            if ensemble.links[k].source_derivatives[0] is None
-            and ensemble.source_derivative[k] != NO_DERIVATIVE
-        ]
-        values, slopes = ensemble.source[own], ensemble.source_derivative[own]
-        change = np.abs(after[values] - before[values])
-        said = np.concatenate([before[slopes], after[slopes]])
-        moves = change > ROUNDING * (ensemble.nominal[own] + np.abs(before[values]))
-        if moves.any() and not said.any():
-            return Lack(ensemble.slaves[m].name, SLOPES, "all are zero while its outputs change")
-        return None
-
-    def _is_half_way(self, ensemble: Ensemble, m: int, before: Floats, after: Floats) -> bool:
-        """Whether a step of half the length has ended between start and end of the whole one."""
-        own = self._outputs(ensemble, m)
-        places = ensemble.source[own]
-        made, whole = ensemble.Y[places] - before[places], after[places] - before[places]
-        least = ROUNDING * (ensemble.nominal[own] + np.abs(after[places]))
-        low, high = HALF_WAY
-        share = np.divide(made, whole, out=np.full(len(own), 0.5), where=np.abs(whole) > least)
-        return bool(((share >= low) & (share <= high)).all())
-
-    def _unlike(self, ensemble: Ensemble, m: int, before: Floats, after: Floats) -> Lack | None:
-        """Whether a step from the restored state ends elsewhere than the first did, by more than a
-        share of what that changed."""
-        for k in self._outputs(ensemble, m):
-            place = ensemble.source[k]
-            off = abs(ensemble.Y[place] - after[place])
-            least = ROUNDING * (ensemble.nominal[k] + abs(after[place]))
-            if off > max(REPEATED * abs(after[place] - before[place]), least):
-                return Lack(
-                    ensemble.slaves[m].name,
-                    STATES,
-                    f"a step from a restored one ends with {ensemble.links[k].output.name} = "
-                    f"{ensemble.Y[place]:.6g} in place of {after[place]:.6g}",
-                )
-        return None
-
-    # -- the choice ------------------------------------------------------------------------------
+            with self._begun(lender) as (session, jump):
+                if self._length is None:
+                    h = min(SHARE * (stop - start), BEFORE_JUMP * (jump - start))
+                else:
+                    # Where lengths have to vary, a step of half the length follows this one.
+                    h = min(self._length, (stop - start) / (2.0 if self._varies else 1.0))
+                tried.run(session.ensemble, start, h)
+        finally:
+            self.lack = tried.lack
+            self.steps += tried.steps
+            self.calls += tried.calls
 
     @property
     def _feeds_back(self) -> bool:
@@ -400,8 +224,6 @@ class Trial:
             self.why = (
                 "all FMUs can save their state, take polynomials as inputs and know derivatives "
                 "of their outputs"
-                if self._system.links
-                else "no numbers are exchanged"
             )
             return
         if not self._feeds_back and not self._able:

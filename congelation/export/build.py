@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import json
+import os
 import re
 import sys
 import tempfile
@@ -18,7 +19,7 @@ from xml.etree import ElementTree
 
 from pythonfmu.builder import FmuBuilder, get_model_description
 
-from congelation.errors import CongelationError, DesignWarning, InvalidInput
+from congelation.errors import CongelationError, DesignWarning, InvalidInput, require
 from congelation.export.assumptions import spec_warnings
 from congelation.export.embedded_c import controller_code
 from congelation.export.model_description import complete
@@ -108,6 +109,8 @@ def build(
     folder = Path(out) / ("native" if native else "c" if c_code else "")
     if not specs:
         raise InvalidInput("no spec is given; name one or more, such as specs/f16_pitch.toml")
+    for spec in specs:
+        require(spec, (Spec, BlockSpec, str, os.PathLike), "spec", "a spec, or the path of one")
     check_folder("--out", folder)
     groups = _groups(chosen, folder) if native else {folder: ()}
     read = [

@@ -80,19 +80,14 @@ def insert(connection: sqlite3.Connection, rows: Sequence[Mapping[str, Any]]) ->
 def columns_of(connection: sqlite3.Connection) -> list[tuple[str, str]]:
     """Name and type of every column: those of all runs first, the groups in their places."""
     found = [(row[1], row[2]) for row in connection.execute("PRAGMA table_info(runs)")]
-    order = list(_column_order())
+    # Names of the columns, the prefixes of groups in the places of these.
+    order = list(_row(**{name: {"": ""} for name in GROUPS}))
 
     def place(entry: tuple[str, str]) -> int:
         prefix = next((p for p in GROUPS.values() if entry[0].startswith(p)), entry[0])
         return order.index(prefix)
 
     return sorted(found, key=place)
-
-
-def _column_order() -> Iterator[str]:
-    """Names of the columns in order, the prefixes of groups in the places of these."""
-    marked = {name: {"": ""} for name in GROUPS}
-    return iter(_row(**marked))
 
 
 def batches(

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, require
 from congelation.scenario.parts import EXPERIMENT, replaced
 from congelation.scenario.scenario import Scenario
 from congelation.scenario.ssp.read import read_ssp
@@ -36,6 +37,8 @@ def load_scenario(file: Path | str, experiment: Mapping[str, object] | None = No
     >>> cg.load_scenario("scenarios/fig2.toml").title
     'Fig. 2: state feedback'
     """
+    require(file, (str, os.PathLike), "file", "the path of a scenario")
+    require(experiment or {}, Mapping, "experiment", "values by key")
     path, given = Path(file), dict(experiment or {})
     if path.suffix == ".ssp":
         return _unless_variants_differ(read_ssp(path, given), given)

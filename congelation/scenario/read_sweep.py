@@ -205,7 +205,8 @@ def _spaced(section: Section, kind: str, numbers: tuple[float, ...]) -> list[flo
             raise section.wrong(kind, "[first, last, count] with positive ends")
         inner = np.geomspace(first, last, count)[1:-1]
     else:
-        inner = np.linspace(first, last, count)[1:-1]
+        with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused
+            inner = np.linspace(first, last, count)[1:-1]
     return [first, *inner.tolist(), last]
 
 

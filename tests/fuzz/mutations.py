@@ -129,6 +129,18 @@ KEYS = (
         r"sweep\.axes\[1\]\.set sets 'controller\.damping', which the variant 'Controller 1' sets",
     ),
     Mutation(
+        "an axis of one setting twice",
+        _to(
+            "[[figures]]",
+            lambda r: (
+                '[sweep]\n[[sweep.axes]]\nset = ["controller.epsilon", "controller.epsilon"]\n'
+                f"values = [[{r.uniform(0.1, 1)}, {r.uniform(0.1, 1)}]]\n[[figures]]"
+            ),
+        ),
+        2,
+        r"sweep\.axes\[1\]\.set sets 'controller\.epsilon' twice; leave one of them out",
+    ),
+    Mutation(
         "tolerance",
         _to("step = 0.01", lambda r: f"tolerance = {r.uniform(1, 9)!r}"),
         2,

@@ -578,6 +578,13 @@ def test_what_cannot_be_read_is_said_in_one_line(
     assert "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("value", ["[" * 99_999, "9" * 5001], ids=["deep", "long"])
+def test_an_annotation_that_json_cannot_hold_is_one_line(archive: Path, value: str) -> None:
+    file = changed(archive, SSD, ('"title": ', f'"more": {value}, "title": '))
+    with pytest.raises(InvalidInput, match="annotation 'congelation': no JSON"):
+        read_ssp(file)
+
+
 def test_what_is_no_archive(archive: Path, tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="no such file; give the path of an SSP archive"):
         read_ssp(tmp_path / "absent.ssp")

@@ -101,6 +101,8 @@ def random_loop(seed, n, p, options, adaptation=gradient, **parameters):
 def test_the_claim_holds(n, p, options):
     for seed, parameters in enumerate(({}, {"sigma": 0.4})):
         law = robust if parameters else gradient
+        if options.varying_gain:
+            parameters = parameters | {"sign_b": (1.0, -1.0)[seed]}
         loop = random_loop(10 * n + seed, n, p, options, law, **parameters)
         finding = state_feedback_certificate(loop).search(150, ascents=2, seed=seed)
         assert not finding.violated, (finding.margin, finding.state)
@@ -145,7 +147,7 @@ def violated(loop):
     return state_feedback_certificate(loop).search(400, ascents=10).violated
 
 
-@pytest.mark.parametrize(("n", "p"), [(1, 2), (2, 2), (3, 2)])
+@pytest.mark.parametrize(("n", "p"), [(1, 2), (2, 2), (3, 2), (4, 2)])
 def test_without_the_damping_of_the_reference_it_fails(monkeypatch, n, p):
     monkeypatch.setattr(
         state_feedback, "reference_damping", lambda symbols, rbar: ca.SX(1, rbar[0].shape[1])
@@ -161,7 +163,7 @@ def test_without_the_damping_of_the_disturbance_it_fails(monkeypatch, n, p):
     assert violated(random_loop(n, n, p, DISTURBED, epsilon_d=0.3))
 
 
-@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2)])
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2), (4, 2)])
 def test_a_control_that_cancels_does_not_stand_a_varying_gain(monkeypatch, n, p):
     """u = rho_hat alpha_n, rho_hat' = -gamma sign_b alpha_n z_n, as for a constant gain."""
     monkeypatch.setattr(
@@ -172,7 +174,7 @@ def test_a_control_that_cancels_does_not_stand_a_varying_gain(monkeypatch, n, p)
     assert violated(random_loop(n, n, p, GAIN))
 
 
-@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2)])
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2), (4, 2)])
 def test_an_estimate_of_the_radius_that_does_not_move_is_none(monkeypatch, n, p):
     rates = StateFeedbackDesign.estimate_rates.fget
     monkeypatch.setattr(
@@ -509,7 +511,7 @@ def output_violated(loop):
     return output_feedback_certificate(loop).search(300, ascents=5).violated
 
 
-@pytest.mark.parametrize(("n", "m"), [(2, 0), (3, 1)])
+@pytest.mark.parametrize(("n", "m"), [(2, 0), (3, 1), (3, 2)])
 def test_output_feedback_without_the_share_of_the_reference_fails(monkeypatch, n, m):
     """The damping without its factor 1 + q; of first order the rest of the law is enough."""
     damping = output_feedback._damping
@@ -521,7 +523,7 @@ def test_output_feedback_without_the_share_of_the_reference_fails(monkeypatch, n
     assert output_violated(random_output_loop(n + m, n, m, TRACKING, q=3.0))
 
 
-@pytest.mark.parametrize(("n", "m"), [(2, 0), (2, 1), (3, 1)])
+@pytest.mark.parametrize(("n", "m"), [(2, 0), (2, 1), (3, 1), (3, 2)])
 def test_output_feedback_without_the_share_of_the_disturbance_fails(monkeypatch, n, m):
     """The damping without its factor 1 + q_d."""
     damping = output_feedback._damping
@@ -560,7 +562,7 @@ def test_under_leakage_output_feedback_falls_at_the_decay(options):
     assert not certificate.search(150, ascents=2).violated
 
 
-@pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (3, 1)])
+@pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (3, 1), (3, 2)])
 def test_output_feedback_needs_the_reference_in_the_law_of_rho_hat(monkeypatch, n, m):
     """rho_hat' = -gamma sgn(b_m) alphabar_1 z_1, as without a reference."""
 
@@ -573,7 +575,7 @@ def test_output_feedback_needs_the_reference_in_the_law_of_rho_hat(monkeypatch, 
     assert output_violated(random_output_loop(n + m, n, m, TRACKING))
 
 
-@pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (3, 1)])
+@pytest.mark.parametrize(("n", "m"), [(1, 0), (2, 0), (3, 1), (3, 2)])
 def test_output_feedback_without_an_estimate_of_the_radius_fails(monkeypatch, n, m):
     monkeypatch.setattr(
         output_feedback.OutputFeedbackDesign, "D_hat_rate", property(lambda design: ca.SX(0))

@@ -25,6 +25,8 @@ LAWS = {
     "TrackingStructured": {"yr[0]": 1.0},
     "WingRock": {},
     "PendulumLength": {},
+    "DCMotor": {},
+    "F16Pitch": {},
     # About the origin: the radius is that of theta about 0, and leakage pulls towards it.
     "Matched": {"delta": 4.0, "sigma": 0.1},
 }

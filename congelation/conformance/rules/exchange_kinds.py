@@ -137,9 +137,7 @@ def kinds_agree(bench: Bench) -> Iterator[str]:
 def _integrated(bench: Bench, description: Description, substeps: int) -> list[list[float]]:
     """The states at the communication points, by the method of Runge and Kutta (order 4)."""
     count = len(description.state_vector)
-    instance = bench.exchange(description)
-    info = settled(instance, bench.grid.start)
-    demand(instance.enter_continuous_time_mode(), "fmi2EnterContinuousTimeMode")
+    instance, info = continuous(bench, description)
 
     def rates(t: float, x: Sequence[float]) -> list[float]:
         demand(instance.set_time(t), "fmi2SetTime")

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
 from congelation.conformance.description import Value, Variable
-from congelation.conformance.instance import Instance
 from congelation.conformance.probe import read
 from congelation.conformance.rule import Level, NotApplicable, dynamic
 from congelation.conformance.trajectory import Grid, demand, excite, inputs, simulate
@@ -288,10 +287,6 @@ def synchronous(bench: Bench) -> Iterator[str]:
     with bench.held() as instance:
         for point in range(bench.grid.steps):
             excite(instance, bench.description, point)
-            if _pending(bench, instance, point):
+            if instance.step(bench.grid.time(point), bench.grid.step) == Status.PENDING:
                 yield "fmi2DoStep returned fmi2Pending"
                 return
-
-
-def _pending(bench: Bench, instance: Instance, point: int) -> bool:
-    return instance.step(bench.grid.time(point), bench.grid.step) == Status.PENDING

@@ -102,6 +102,92 @@ static void take(const Loop *loop, const Plan *plan, const State *from, State *t
     to->length = from->length;
 }
 
+/* StepSize.accepted */
+static void lengthen(Memory *memory, double length, double scaled, int order) {
+    const double error = scaled > SMALLEST_ERROR ? scaled : SMALLEST_ERROR;
+    double change = SAFETY * pow(error, -INTEGRAL / order)
+                  * pow(memory->error_before, PROPORTIONAL / order);
+    const double largest = memory->rejected ? 1.0 : LARGEST_CHANGE;
+    change = change > SMALLEST_CHANGE ? change : SMALLEST_CHANGE;
+    change = change < largest ? change : largest;
+    memory->step = length * change;
+    memory->error_before = error;
+    memory->rejected = 0;
+}
+
+/* StepSize.refused */
+static void shorten(Memory *memory, double length, double scaled, int order) {
+    double change = SMALLEST_CHANGE;
+    if (isfinite(scaled)) {
+        change = SAFETY * pow(scaled, -1.0 / order);
+        change = change > SMALLEST_CHANGE ? change : SMALLEST_CHANGE;
+        change = change < SAFETY ? change : SAFETY;
+    }
+    memory->step = length * change;
+    memory->rejected = 1;
+}
+
+/* One step from `time`, to *end: tried until its error is below the tolerance. On UNUSUAL it is for
+   Python to make. */
+static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *states, double time,
+                        double target, double *end) {
+    const long before_saving = loop->calls;
+    if (save(loop)) return REFUSED;
+    const long saving = loop->calls - before_saving;
+    memory->refused_length = 0.0;
+    for (;;) {
+        *end = end_of(time, memory->step, target);
+        const double length = *end - time;
+        Trial trial;
+        const long calls = loop->calls, passes = loop->passes;
+        const int code = plan->halves
+            ? halved(loop, plan, memory, states, time, *end, &trial)
+            : make(loop, plan, &memory->state, &states[0], time, *end, &trial);
+        double scaled = trial.error / plan->tolerance;
+        const int fits = code == DONE && scaled <= 1.0;
+        if (fits) {
+            /* A step may be good for the loop and too long for what is recorded in it. */
+            const double recorded = unresolved(loop, memory, *end);
+            if (recorded > scaled) scaled = recorded;
+            memory->refused_length = 0.0;
+        }
+        const double size = fabs(time) > fabs(*end) ? fabs(time) : fabs(*end);
+        const double rounding = SMALLEST_STEP * unit_in_the_last_place(size);
+        const double share = SMALLEST_SHARE * plan->horizon;
+        const int smallest = length <= (rounding > share ? rounding : share);
+        int accepted = fits && scaled <= 1.0;
+        const int kept = code == DONE && !accepted && length <= plan->shortest_kept;
+        if (accepted) {
+            lengthen(memory, length, scaled, trial.order);
+        } else if (code == DONE && !fits && !smallest && !kept && plan->halves) {
+            accepted = memory->refused_length > 0.0 && is_floor(memory, length, plan->tolerance);
+            if (accepted) {
+                /* What is left comes from the FMUs, whose accuracy no step betters. */
+                loop->floors++;
+                memory->step = memory->refused_length;
+                memory->rejected = 1;
+            } else {
+                memory->refused_length = length;
+                memory->refused_error = memory->found;
+            }
+        }
+        if (accepted) {
+            if (trial.error > loop->largest_error) loop->largest_error = trial.error;
+            if (plan->halves) accept_halves(loop, memory);
+            take(loop, plan, &states[0], &memory->state);
+            return DONE;
+        }
+        if (restore(loop)) return REFUSED;
+        if (code != DONE || kept || (!fits && smallest)) {
+            loop->calls = calls - saving;  /* which are made, and counted, once more */
+            loop->passes = passes;
+            return UNUSUAL;
+        }
+        shorten(memory, length, scaled, trial.order);
+        loop->rejected++;
+    }
+}
+
 /* Steps from *time on to the stop time, chosen by the tolerance, over the jumps, the first of which is at
    `memory->event`.
    On UNUSUAL the FMUs are where the step began, and Python makes it. On NOT_FINITE and UNSOLVED a jump,
@@ -124,80 +210,10 @@ EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *ti
             if (counted(loop, event)) return FULL;
             continue;
         }
-        loop->time = *time;
-        const long before_saving = loop->calls;
-        if (save(loop)) return REFUSED;
-        const long saving = loop->calls - before_saving;
-        memory->refused_length = 0.0;
         double end;
-        for (;;) {
-            end = end_of(*time, memory->step, target);
-            const double length = end - *time;
-            Trial trial;
-            const long calls = loop->calls, passes = loop->passes;
-            const int code = plan->halves
-                ? halved(loop, plan, memory, states, *time, end, &trial)
-                : make(loop, plan, &memory->state, &states[0], *time, end, &trial);
-            double scaled = trial.error / plan->tolerance;
-            const int fits = code == DONE && scaled <= 1.0;
-            if (fits) {
-                /* A step may be good for the loop and too long for what is recorded in it. */
-                const double recorded = unresolved(loop, memory, end);
-                if (recorded > scaled) scaled = recorded;
-                memory->refused_length = 0.0;
-            }
-            const double size = fabs(*time) > fabs(end) ? fabs(*time) : fabs(end);
-            const double rounding = SMALLEST_STEP * unit_in_the_last_place(size);
-            const double share = SMALLEST_SHARE * plan->horizon;
-            const int smallest = length <= (rounding > share ? rounding : share);
-            int accepted = fits && scaled <= 1.0;
-            const int kept = code == DONE && !accepted && length <= plan->shortest_kept;
-            if (accepted) {
-                /* StepSize.accepted */
-                const double error = scaled > SMALLEST_ERROR ? scaled : SMALLEST_ERROR;
-                double change = SAFETY * pow(error, -INTEGRAL / trial.order)
-                              * pow(memory->error_before, PROPORTIONAL / trial.order);
-                const double largest = memory->rejected ? 1.0 : LARGEST_CHANGE;
-                change = change > SMALLEST_CHANGE ? change : SMALLEST_CHANGE;
-                change = change < largest ? change : largest;
-                memory->step = length * change;
-                memory->error_before = error;
-                memory->rejected = 0;
-            } else if (code == DONE && !fits && !smallest && !kept && plan->halves) {
-                accepted = memory->refused_length > 0.0 && is_floor(memory, length, plan->tolerance);
-                if (accepted) {
-                    /* What is left comes from the FMUs, whose accuracy no step betters. */
-                    loop->floors++;
-                    memory->step = memory->refused_length;
-                    memory->rejected = 1;
-                } else {
-                    memory->refused_length = length;
-                    memory->refused_error = memory->found;
-                }
-            }
-            if (accepted) {
-                if (trial.error > loop->largest_error) loop->largest_error = trial.error;
-                if (plan->halves) accept_halves(loop, memory);
-                take(loop, plan, &states[0], &memory->state);
-                break;
-            }
-            if (restore(loop)) return REFUSED;
-            if (code != DONE || kept || (!fits && smallest)) {
-                loop->calls = calls - saving;  /* which are made, and counted, once more */
-                loop->passes = passes;
-                return UNUSUAL;
-            }
-            /* StepSize.refused */
-            double change = SMALLEST_CHANGE;
-            if (isfinite(scaled)) {
-                change = SAFETY * pow(scaled, -1.0 / trial.order);
-                change = change > SMALLEST_CHANGE ? change : SMALLEST_CHANGE;
-                change = change < SAFETY ? change : SAFETY;
-            }
-            memory->step = length * change;
-            memory->rejected = 1;
-            loop->rejected++;
-        }
+        loop->time = *time;
+        const int code = fitting_step(loop, plan, memory, states, *time, target, &end);
+        if (code) return code;
         *time = end;
         if (end < target || event == INFINITY) {
             record(loop, end, POINT);

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +22,7 @@ from pathlib import Path
 from lxml import etree
 
 from congelation.cosim.system import ResolvedSystem, System
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput, nearest, require
 from congelation.fmi.description import Variable
 from congelation.fmi.start_values import StartValue
 from congelation.places import replace_whole
@@ -46,7 +47,7 @@ _SLAVE_TOLERANCE = 1e-8
 
 def write_ssp(
     scenario: Scenario,
-    file: Path,
+    file: Path | str,
     variant: str | None = None,
     *,
     derivatives: bool = False,
@@ -88,6 +89,9 @@ def write_ssp(
     >>> scenario = cg.load_scenario("scenarios/scalar.toml")
     >>> cg.export_ssp(scenario, folder / "scalar.ssp", "Controller 2")
     """
+    require(scenario, Scenario, "scenario", "a Scenario, such as load_scenario reads")
+    require(file, (str, os.PathLike), "file", "a path")
+    file = Path(file)
     if step is not None and not 0.0 < step < math.inf:
         raise InvalidInput(f"step {step:g} is not valid; give a positive time in seconds")
     if file.suffix != ".ssp":
