@@ -293,6 +293,12 @@ def _ended(
             "of the FMUs, not the step, limited the error: loosen the tolerance, or make the FMUs "
             "more accurate (slave_tolerance, or their own parameters)."
         )
+    if session.missed:
+        return Status.COMPLETED, (
+            f"{Status.COMPLETED.value} In {session.missed} of {session.steps} steps a discrete "
+            "value changed at a time that could not be located: not all FMUs can save states, or "
+            "it changes all the time; what follows from it is late by up to a step."
+        )
     if session.kept:
         return Status.COMPLETED, (
             f"{Status.COMPLETED.value} {session.kept} of {session.steps} steps were kept although "

@@ -150,10 +150,11 @@ class ResolvedSystem:
     Parameters
     ----------
     links : tuple of Link
-        Connections between Real variables.
+        Connections from Real outputs that follow the time.
     discrete_links : tuple of Link
-        Connections between Integer, Boolean and String variables; they are copied at
-        communication points, whatever the coupling.
+        Connections from Integer, Boolean and String outputs, and from Real ones that are constant
+        between events (variability "discrete"); they are copied at communication points, whatever
+        the coupling.
     """
 
     members: tuple[Member, ...]
@@ -169,7 +170,7 @@ class ResolvedSystem:
         """Whether derivatives reach the target by fmi2SetRealInputDerivatives, rather than by
         inputs der(v), der(v,2), der(v,3) of its own."""
         able = self.members[link.target].description.can_interpolate_inputs
-        return able and link.target_derivatives[0] is None
+        return able and link.target_derivatives[0] is None and not link.input.is_held
 
     def input_order(self, link: Link) -> int:
         """Highest derivative that a link's target takes, all lower ones included."""
@@ -304,8 +305,8 @@ class System:
             while len(_LINKS) >= KEPT_SYSTEMS:
                 _LINKS.pop(next(iter(_LINKS)))
             _LINKS[key] = (
-                tuple(link for link in links if link.input.type == "Real"),
-                tuple(link for link in links if link.input.type != "Real"),
+                tuple(link for link in links if not link.output.is_held),
+                tuple(link for link in links if link.output.is_held),
             )
         return ResolvedSystem(members, *_LINKS[key])
 
