@@ -167,6 +167,7 @@ class Ensemble:
         self.slaves = tuple(slaves)
         self._plan_outputs(recorded, derivatives, slopes, events)
         self._plan_inputs(derivatives)
+        self._plan_judgement(recorded)
         self.begin(system)
 
     def begin(self, system: ResolvedSystem) -> None:
@@ -318,6 +319,19 @@ class Ensemble:
             self.write_calls.append(bool(links) + any(map(self._interpolates, links)))
             begin = columns.stop
 
+    def _plan_judgement(self, recorded: Sequence[Recorded]) -> None:
+        sources = set(self.source.tolist())
+        targets = {link.target for link in (*self.links, *self.system.discrete_links)}
+        further: dict[int, float] = {}
+        for item in recorded:
+            variable = item.variable
+            place = self._place.get((item.member, variable.name))
+            if place is None or variable.is_held or place in sources or item.member not in targets:
+                continue
+            further[place] = variable.nominal
+        self.judged = np.array([*self.source.tolist(), *further], np.intp)
+        self.judged_nominal = np.array([*self.nominal.tolist(), *further.values()])
+
     def _input_order(self, link: Link) -> int:
         return 0 if self._exchange else self.system.input_order(link)
 
@@ -412,12 +426,13 @@ class Ensemble:
         return bool(held) and any(names is None or held.intersection(names) for names in known)
 
     def copy_discrete(self, values: Sequence[float | int | bool | str] | None = None) -> None:
-        """Set the Integer, Boolean and String inputs that are driven, to the values of their
+        """Set the inputs that are driven by discrete links, to the values of their
         sources as they are now if no others are given."""
         # All are read before any is set, so that the order of the connections does not matter.
         values = self.discrete_values() if values is None else values
         for link, value in zip(self.system.discrete_links, values, strict=True):
-            self.slaves[link.target].set_value(link.input, value)
+            sent = link.factor * value + link.offset if link.converts else value  # type: ignore[operator]
+            self.slaves[link.target].set_value(link.input, sent)
 
     @cached_property
     def discrete_feedthrough(self) -> bool:
@@ -435,10 +450,17 @@ class Ensemble:
 
     def discrete_values(self) -> list[float | int | bool | str]:
         """The outputs that drive Integer, Boolean and String inputs, as they are now."""
-        found = []
+        found: list[float | int | bool | str] = []
         for link in self.system.discrete_links:
             reference = link.output.reference
-            found += self.slaves[link.source].get_values(link.output.type, [reference])
+            (value,) = self.slaves[link.source].get_values(link.output.type, [reference])
+            if isinstance(value, float) and not math.isfinite(value):
+                slave = self.slaves[link.source]
+                raise RunEnded(
+                    Status.NON_FINITE,
+                    f"{slave.name}.{link.output.name} at t = {slave.time:.9g} is {value}",
+                )
+            found.append(value)
         return found
 
     # -- states of the slaves -----------------------------------------------------------------

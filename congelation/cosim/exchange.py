@@ -181,7 +181,14 @@ class Exchange:
         raise self.unsolved(block, time)
 
     def unsolved(self, block: Block, time: float) -> RunEnded:
-        """What ends the run where a loop has no solution."""
+        """What ends the run where a loop has no solution.
+
+        Raises
+        ------
+        RunEnded
+            A value in it is not finite.
+        """
+        self._ensemble.check(time)
         return RunEnded(
             Status.LOOP_UNSOLVED,
             f"at t = {time:.9g}: no solution of the algebraic loop {self._names(block)}",

@@ -6,13 +6,13 @@ descriptions alone, so a mistake is found before anything runs.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from congelation.errors import InvalidInput, counted, nearest, require, require_all
+from congelation.arguments import check_fields
+from congelation.errors import InvalidInput, counted, nearest
 from congelation.fmi.description import Description, Variable, describe
 from congelation.fmi.start_values import StartValue, resolve_start
 from congelation.fmi.units import Conversion, conversion
@@ -58,12 +58,7 @@ class Component:
     start: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        require(self.name, str, "Component.name", "a string")
-        require(self.fmu, (str, os.PathLike), f"component '{self.name}': fmu", "a path")
-        require(self.start, Mapping, f"component '{self.name}': start", "values by name")
-        if not {str}.issuperset(map(type, self.start)):  # a study makes a component for each run
-            for name in self.start:
-                require(name, str, f"component '{self.name}': a name in start", "a string")
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -83,8 +78,7 @@ class Connection:
     target: str
 
     def __post_init__(self) -> None:
-        require(self.source, str, "Connection.source", "a string, component.variable")
-        require(self.target, str, "Connection.target", "a string, component.variable")
+        check_fields(self)
 
     @classmethod
     def parse(cls, text: str) -> Connection:
@@ -156,10 +150,11 @@ class ResolvedSystem:
     Parameters
     ----------
     links : tuple of Link
-        Connections between Real variables.
+        Connections from Real outputs that follow the time.
     discrete_links : tuple of Link
-        Connections between Integer, Boolean and String variables; they are copied at
-        communication points, whatever the coupling.
+        Connections from Integer, Boolean and String outputs, and from Real ones that are constant
+        between events (variability "discrete"); they are copied at communication points, whatever
+        the coupling.
     """
 
     members: tuple[Member, ...]
@@ -175,7 +170,7 @@ class ResolvedSystem:
         """Whether derivatives reach the target by fmi2SetRealInputDerivatives, rather than by
         inputs der(v), der(v,2), der(v,3) of its own."""
         able = self.members[link.target].description.can_interpolate_inputs
-        return able and link.target_derivatives[0] is None
+        return able and link.target_derivatives[0] is None and not link.input.is_held
 
     def input_order(self, link: Link) -> int:
         """Highest derivative that a link's target takes, all lower ones included."""
@@ -223,7 +218,6 @@ class ResolvedSystem:
         InvalidInput
             A name that does not exist.
         """
-        require_all(names, str, key, "a string, component.variable")
         found: dict[str, Recorded] = {}
         for name in names:
             what = f"{key} '{name}'"
@@ -237,6 +231,12 @@ class ResolvedSystem:
 @dataclass(frozen=True)
 class System:
     """Components and the connections between them.
+
+    Parameters
+    ----------
+    components : tuple of Component
+    connections : tuple of Connection
+        Or texts such as ``"plant.x -> controller.x"``.
 
     Examples
     --------
@@ -258,13 +258,10 @@ class System:
     connections: tuple[Connection, ...] = ()
 
     def __post_init__(self) -> None:
-        require_all(self.components, Component, "System.components", "a Component")
-        require_all(
-            self.connections,
-            Connection,
-            "System.connections",
-            "a Connection, such as Connection.parse('plant.x -> controller.x')",
-        )
+        if isinstance(self.connections, list | tuple):  # each of which may be a text
+            parsed = (Connection.parse(c) if isinstance(c, str) else c for c in self.connections)
+            object.__setattr__(self, "connections", tuple(parsed))
+        check_fields(self)
 
     def resolve(self, *, held: bool = False) -> ResolvedSystem:
         """Find every name.
@@ -308,8 +305,8 @@ class System:
             while len(_LINKS) >= KEPT_SYSTEMS:
                 _LINKS.pop(next(iter(_LINKS)))
             _LINKS[key] = (
-                tuple(link for link in links if link.input.type == "Real"),
-                tuple(link for link in links if link.input.type != "Real"),
+                tuple(link for link in links if not link.output.is_held),
+                tuple(link for link in links if link.output.is_held),
             )
         return ResolvedSystem(members, *_LINKS[key])
 

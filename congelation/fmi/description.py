@@ -70,6 +70,11 @@ class Variable:
     most: float | None = None
     default: str = ""
 
+    @property
+    def is_held(self) -> bool:
+        """Whether the value is constant between events, rather than following the time."""
+        return self.type != "Real" or self.variability != "continuous"
+
     @cached_property
     def settable(self) -> bool:
         """Whether a start value may be given (FMI 2.0.4, section 2.2.7)."""

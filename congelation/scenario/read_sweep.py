@@ -175,6 +175,8 @@ def _list(
 ) -> tuple[Settings, ...]:
     """One entry per value; with several names, each value holds one for each of them."""
     together = isinstance(section.data["set"], list)
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise section.error("set", f"names '{twice}' twice; leave one of them out")
     entries = []
     for index, value in enumerate(values, start=1):
         row = value if together else [value]
@@ -186,6 +188,8 @@ def _list(
         entries.append(
             reader.read(replace(section, path=at, data=dict(zip(names, row, strict=True))))
         )
+    if any(len(entry) < len(names) for entry in entries):
+        raise section.error("set", "names one variable in two ways; leave one of them out")
     if any(entry.keys() != entries[0].keys() for entry in entries):
         raise section.error("values", "do not all set the same variables")
     return tuple(entries)

@@ -21,6 +21,7 @@ import fmpy
 import numpy as np
 import numpy.typing as npt
 
+from congelation.arguments import checked
 from congelation.cosim.result import Result
 from congelation.cosim.system import Component, System
 from congelation.errors import CongelationError, InvalidInput
@@ -251,6 +252,7 @@ def compare(found: Reference, trajectory: Trajectory) -> tuple[Deviation, ...]:
     return _deviations(found, trajectory.time, trajectory.columns, trajectory.values)
 
 
+@checked
 def verify(system: System, result: Result) -> tuple[Deviation, ...]:
     """Compare a run with the solution of the same loop as one differential equation.
 
