@@ -290,7 +290,7 @@ MISTAKES = {
     "one variable twice in one axis": (
         'set = "controller.gamma"\nvalues = [1, 2]',
         'set = ["controller.gamma", "controller.gamma"]\nvalues = [[1, 2]]',
-        "sweep.axes[4].set names 'controller.gamma' twice; leave one of them out",
+        "sweep.axes[4].set sets 'controller.gamma' twice; leave one of them out",
     ),
     "a variable that variants set": (
         'set = "controller.gamma"\nvalues = [1, 2]',
