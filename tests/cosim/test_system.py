@@ -39,6 +39,7 @@ def test_start_values_are_expanded(fmus, values, expected):
         ({"x0": [[1.0], [2.0, 3.0]]}, "rows of different lengths"),
         ({"x0": 1.0}, "1.0 given, a list of 2 values needed"),
         ({"x0": [1.0, 2.0], "x0[1]": 3.0}, "'x0[1]' is given by 'x0' as well"),
+        ({"x0[1]": 3.0, "x0": [1.0, 2.0]}, "'x0': 'x0[1]' is given by 'x0[1]' as well; leave one"),
         ({"w": "fast"}, "'fast' given, a number needed"),
         ({"w": True}, "true given, a number needed"),
         ({"w": float("nan")}, "nan is no value"),
