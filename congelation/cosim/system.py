@@ -397,7 +397,11 @@ def _pairs(
     by_index = {variable.name[len(input_name) :]: variable for variable in inputs}
     if sorted(by_index) != sorted(variable.name[len(output_name) :] for variable in outputs):
         given, wanted = counted(len(outputs), "output"), counted(len(inputs), "input")
-        raise InvalidInput(f"{place}: {given} for {wanted}; the indices must agree")
+        remedy = "the indices must agree"
+        if input_name == "yr":
+            remedy += "; a law of order n takes the reference and its derivatives up to the n-th: "
+            remedy += "build a reference of that n (docs/theory.md, 'Tracking')"
+        raise InvalidInput(f"{place}: {given} for {wanted}; {remedy}")
     return [(variable, by_index[variable.name[len(output_name) :]]) for variable in outputs]
 
 

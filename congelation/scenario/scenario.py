@@ -173,7 +173,8 @@ class Scenario:
         return "Scenario" if self.file is None else str(self.file)
 
     def case(self, settings: Mapping[str, Scalar]) -> Case:
-        """This scenario with settings applied, which are those of variants and points of a sweep.
+        """This scenario with settings applied, which are those of variants and points of a sweep:
+        one for each scalar variable, as `variants` of a scenario has them.
 
         Raises
         ------

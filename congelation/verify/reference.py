@@ -2,7 +2,7 @@
 
 Every FMU of `congelation build` carries the structure that its equations were derived from, in
 ``resources/spec.json``. From it the theory derives plant and controller anew, closes the loop
-without any co-simulation, and scipy solves it to 1e-10, stopping at every jump of theta(t).
+without any co-simulation, and scipy solves it to 1e-12, stopping at every jump of theta(t).
 """
 
 from __future__ import annotations
