@@ -12,7 +12,17 @@ from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import SlaveError
 
-__all__ = ["ABILITIES", "SLOPES", "Abilities", "Lack", "lack_of"]
+__all__ = [
+    "ABILITIES",
+    "LENGTHS",
+    "REFUSED_LENGTH",
+    "REFUSED_STATE",
+    "SLOPES",
+    "STATES",
+    "Abilities",
+    "Lack",
+    "lack_of",
+]
 
 Floats = npt.NDArray[np.float64]
 
@@ -26,6 +36,7 @@ proportion to a power of the time is at half of it or less; from a state that wa
 would end beyond 1."""
 
 REFUSED_LENGTH = "refuses the second one"
+REFUSED_STATE = "steps from a restored one are refused"
 
 ROUNDING = 1e-6
 """Relative changes up to this size show nothing."""
@@ -152,7 +163,7 @@ class Abilities:
             if self._is_half_way(ensemble, m, before, after):
                 return
             slave.restore(state)
-        self._step(ensemble, m, start, h, STATES, "steps from a restored one are refused")
+        self._step(ensemble, m, start, h, STATES, REFUSED_STATE)
         self.lack = self._unlike(ensemble, m, before, after)
         self.calls += 3
 

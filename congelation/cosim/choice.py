@@ -32,6 +32,8 @@ class Choice:
         Abilities that FMUs declare and that the run does not use.
     line : str
         Which coupling, and why.
+    tolerance : float or None
+        The one that was given and that fixed steps stand in for.
     passes, calls : int
         Of the trial: passes over all components, and fmi2 calls.
     """
@@ -39,6 +41,7 @@ class Choice:
     experiment: Experiment
     lacks: tuple[Lack, ...]
     line: str
+    tolerance: float | None
     passes: int
     calls: int
 
@@ -49,7 +52,14 @@ class Choice:
             iterations=result.statistics.iterations + self.passes,
             fmi_calls=result.statistics.fmi_calls + self.calls,
         )
-        return replace(result, statistics=spent, choice=self.line)
+        message = result.message
+        found = spent.estimated_error
+        if result.completed and self.tolerance is not None and found > self.tolerance:
+            message += (
+                f" The tolerance of {self.tolerance:g} is not kept, as not all FMUs take other "
+                f"steps: the estimated error is {found:.2g}."
+            )
+        return replace(result, message=message, statistics=spent, choice=self.line)
 
 
 def without(system: ResolvedSystem, lacks: Sequence[Lack]) -> ResolvedSystem:
@@ -110,7 +120,9 @@ def chosen(system: System, experiment: Experiment, pool: SlavePool | None = None
     if stepped.tolerance != experiment.tolerance:
         told.append(f"steps of {stepped.step:g} s, as not all FMUs take others")
     passes = math.ceil(steps / max(len(resolved.members), 1))
-    return Choice(replace(stepped, coupling=trial.coupling), lacks, "; ".join(told), passes, calls)
+    unkept = experiment.tolerance if stepped.tolerance is None else None
+    to_run = replace(stepped, coupling=trial.coupling)
+    return Choice(to_run, lacks, "; ".join(told), unkept, passes, calls)
 
 
 def _with_step(system: ResolvedSystem, experiment: Experiment) -> Experiment:

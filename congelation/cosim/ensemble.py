@@ -25,9 +25,8 @@ from congelation.cosim.system import (
     Link,
     Recorded,
     ResolvedSystem,
-    derivative_name,
 )
-from congelation.fmi.description import Description, Variable
+from congelation.fmi.description import EVENT, Description, Variable, derivative_name
 from congelation.fmi.slave import Slave, State
 
 __all__ = ["LARGEST_VALUE", "NO_DERIVATIVE", "Ensemble", "Transfer"]
@@ -40,9 +39,6 @@ LARGEST_VALUE = 1e100
 
 NO_DERIVATIVE = -1
 """Stands for the place of a derivative that the source does not provide."""
-
-EVENT = "next_event"
-"""Name of the output that announces the next jump."""
 
 
 @dataclass
@@ -66,9 +62,11 @@ class _Part:
 
     def add_derivative(self, description: Description, variable: Variable) -> None:
         """Read the derivative of an output, if there is any way to."""
-        exact = description.variables.get(derivative_name(variable.name, 1))
-        if exact is not None and exact.causality == "output" and exact.type == "Real":
+        exact = description.derivative(variable, "output")
+        if exact is not None:
             self.plain[exact.name] = exact
+        elif description.misfit(variable):
+            return
         elif description.max_output_derivative_order > 0 and variable.causality == "output":
             self.ranked[variable.name] = variable
 
@@ -167,6 +165,7 @@ class Ensemble:
         self.slaves = tuple(slaves)
         self._plan_outputs(recorded, derivatives, slopes, events)
         self._plan_inputs(derivatives)
+        self._plan_judgement(recorded)
         self.begin(system)
 
     def begin(self, system: ResolvedSystem) -> None:
@@ -200,10 +199,8 @@ class Ensemble:
                 if slopes:
                     part.add_derivative(members[item.member].description, item.variable)
         for part, member in zip(parts, members, strict=True):
-            event = part.plain.pop(EVENT, None)
-            if event is None and events:
-                event = member.description.variables.get(EVENT)
-            if event is not None and event.causality == "output" and event.type == "Real":
+            event = member.description.announcement
+            if event is not None and (part.plain.pop(EVENT, None) is not None or events):
                 part.plain[EVENT] = event
         keys = [(m, name) for m, part in enumerate(parts) for name in part.names]
         self._names = [f"{members[m].name}.{name}" for m, name in keys]
@@ -229,7 +226,7 @@ class Ensemble:
                 )
             self.reads.append(reads)
             self.read.append(self._calls(slave, reads))
-            announces = EVENT in part.plain
+            announces = EVENT in part.plain and slave.description.announcement is not None
             if announces:
                 self.events.append(middle - 1)
             # An announcement may be infinite, so the check of finite values stops before it.
@@ -242,6 +239,9 @@ class Ensemble:
 
     def slope_place(self, member: int, name: str) -> int:
         """Where the derivative of a variable stands in Y, or NO_DERIVATIVE."""
+        description = self.system.members[member].description
+        if description.misfit(description.variables[name]):
+            return NO_DERIVATIVE
         return self._place.get((member, derivative_name(name, 1)), NO_DERIVATIVE)
 
     def read_all(self) -> None:
@@ -317,6 +317,19 @@ class Ensemble:
             self.write.append(self._calls(slave, writes))
             self.write_calls.append(bool(links) + any(map(self._interpolates, links)))
             begin = columns.stop
+
+    def _plan_judgement(self, recorded: Sequence[Recorded]) -> None:
+        sources = set(self.source.tolist())
+        targets = {link.target for link in (*self.links, *self.system.discrete_links)}
+        further: dict[int, float] = {}
+        for item in recorded:
+            variable = item.variable
+            place = self._place.get((item.member, variable.name))
+            if place is None or variable.is_held or place in sources or item.member not in targets:
+                continue
+            further[place] = variable.nominal
+        self.judged = np.array([*self.source.tolist(), *further], np.intp)
+        self.judged_nominal = np.array([*self.nominal.tolist(), *further.values()])
 
     def _input_order(self, link: Link) -> int:
         return 0 if self._exchange else self.system.input_order(link)
@@ -412,12 +425,13 @@ class Ensemble:
         return bool(held) and any(names is None or held.intersection(names) for names in known)
 
     def copy_discrete(self, values: Sequence[float | int | bool | str] | None = None) -> None:
-        """Set the Integer, Boolean and String inputs that are driven, to the values of their
+        """Set the inputs that are driven by discrete links, to the values of their
         sources as they are now if no others are given."""
         # All are read before any is set, so that the order of the connections does not matter.
         values = self.discrete_values() if values is None else values
         for link, value in zip(self.system.discrete_links, values, strict=True):
-            self.slaves[link.target].set_value(link.input, value)
+            sent = link.factor * value + link.offset if link.converts else value  # type: ignore[operator]
+            self.slaves[link.target].set_value(link.input, sent)
 
     @cached_property
     def discrete_feedthrough(self) -> bool:
@@ -435,10 +449,17 @@ class Ensemble:
 
     def discrete_values(self) -> list[float | int | bool | str]:
         """The outputs that drive Integer, Boolean and String inputs, as they are now."""
-        found = []
+        found: list[float | int | bool | str] = []
         for link in self.system.discrete_links:
             reference = link.output.reference
-            found += self.slaves[link.source].get_values(link.output.type, [reference])
+            (value,) = self.slaves[link.source].get_values(link.output.type, [reference])
+            if isinstance(value, float) and not math.isfinite(value):
+                slave = self.slaves[link.source]
+                raise RunEnded(
+                    Status.NON_FINITE,
+                    f"{slave.name}.{link.output.name} at t = {slave.time:.9g} is {value}",
+                )
+            found.append(value)
         return found
 
     # -- states of the slaves -----------------------------------------------------------------

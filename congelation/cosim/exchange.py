@@ -16,7 +16,7 @@ import numpy.typing as npt
 from congelation.cosim.broyden import broyden_step, learnt
 from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.result import RunEnded, Status
-from congelation.cosim.system import derivative_name
+from congelation.fmi.description import derivative_name
 
 __all__ = ["Exchange", "settle_discrete", "strong_components"]
 
@@ -181,7 +181,14 @@ class Exchange:
         raise self.unsolved(block, time)
 
     def unsolved(self, block: Block, time: float) -> RunEnded:
-        """What ends the run where a loop has no solution."""
+        """What ends the run where a loop has no solution.
+
+        Raises
+        ------
+        RunEnded
+            A value in it is not finite.
+        """
+        self._ensemble.check(time)
         return RunEnded(
             Status.LOOP_UNSOLVED,
             f"at t = {time:.9g}: no solution of the algebraic loop {self._names(block)}",

@@ -11,16 +11,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
-from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
 
+from congelation.arguments import check_fields
 from congelation.cosim.coupling.polynomial import differentiation, interpolation, product
 from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.sinks import Recorder, Sink
 from congelation.cosim.system import Recorded
-from congelation.errors import InvalidInput, require, require_count
+from congelation.errors import InvalidInput, require_count
 
 __all__ = [
     "NODES",
@@ -81,9 +81,8 @@ class Output:
     sink: Sink | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require_count(self.every, "every")
-        if self.interval is not None:
-            require(self.interval, Real, "interval", "a number of seconds")
         if self.interval is not None and self.every != 1:
             raise InvalidInput("every and interval: give one of the two")
 
@@ -113,8 +112,8 @@ class Columns:
     stepped : integer array
         The columns that change at events alone: no Reals, and Reals that are not continuous.
     sampled : integer array, shape (S,)
-        Where the values stand in Y that are known at communication points alone: Real and without
-        derivatives.
+        Where the Real values stand in Y that are known at communication points alone, being without
+        derivatives, or that nothing but these columns sees.
     nominal : array, shape (S,)
         Their nominal values.
     """
@@ -125,11 +124,7 @@ class Columns:
         links = {(link.target, link.input.name): k for k, link in enumerate(ensemble.links)}
         places, slopes = [], []
         self.stepped: Indices = np.array(
-            [
-                column
-                for column, item in enumerate(recorded)
-                if item.variable.type != "Real" or item.variable.variability != "continuous"
-            ],
+            [column for column, item in enumerate(recorded) if item.variable.is_held],
             np.intp,
         )
         self._latched: list[tuple[int, int]] = []
@@ -162,7 +157,13 @@ class Columns:
         self.smooth: Indices = np.flatnonzero(every != NO_DERIVATIVE)
         self.slopes: Indices = every[self.smooth]
         apart = {column for column, _ in (*self._slow, *self._latched)} | {*self.stepped.tolist()}
-        alone = [c for c in np.flatnonzero(every == NO_DERIVATIVE).tolist() if c not in apart]
+        seen = set(ensemble.source.tolist())
+        alone = [
+            column
+            for column in range(self.width)
+            if column not in apart
+            and (every[column] == NO_DERIVATIVE or self._places[column] not in seen)
+        ]
         self.sampled: Indices = self._places[alone]
         self.nominal: Floats = np.array([recorded[c].variable.nominal for c in alone], np.float64)
 
@@ -362,8 +363,8 @@ class OutputGrid(Rows):
     through values and derivatives at both and at a neighbour; any other the quintic through the
     values at three points on either side, or the nearest there are; one that changes at events
     alone keeps the value of the point before. Jumps are not interpolated across. Those without a
-    derivative are known at the points alone, whatever they do in between (a sine of theta that no
-    input sees), so steps longer than dt must be short enough to predict them.
+    derivative, and those that no input sees, may do anything in between (a sine of theta), so steps
+    longer than dt must be short enough to predict them.
 
     Parameters
     ----------

@@ -97,6 +97,8 @@ class Session:
         Steps whose error comes from the FMUs rather than from the step.
     kept : int
         Steps that were kept although their error was above the tolerance.
+    missed : int
+        Steps within which a discrete value changed, and that could not be shortened to where.
     takes_back : bool
         Whether all FMUs can save their state, so that a step can be taken back.
     """
@@ -143,7 +145,7 @@ class Session:
             Called with the fraction done, about ten times a second.
         """
         self.ensemble.begin(system)
-        self.steps = self.rejected = self.events = self.floors = self.kept = 0
+        self.steps = self.rejected = self.events = self.floors = self.kept = self.missed = 0
         self.largest_error = 0.0
         self.rows = tuple(rows)
         self._time = self.start

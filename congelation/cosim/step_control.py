@@ -35,6 +35,10 @@ PASSING_SHARE = 0.3
 PROBED = 8
 """Accepted steps from one look at how much of the error lasts to the next: it costs two passes."""
 
+SHORTEST_JUDGED = 1e-6
+"""Steps up to this part of the horizon are judged by the links alone: a recorded value that no
+input sees may be as rough as it likes."""
+
 FLOOR_EXPONENT = 0.25
 """An error that falls by less than this power of the step does not come from the step."""
 
@@ -45,9 +49,10 @@ class Halving:
 
     Parameters
     ----------
-    sizes : array, shape (L,)
-        The largest that each link has been so far.
-    lasting : array, shape (L,)
+    sizes : array, shape (W,)
+        The largest that each judged value has been so far: those of the links, then what is
+        recorded besides.
+    lasting : array, shape (W,)
         The part of the difference of whole and halves that lasts, when it was looked at last.
     left : int
         Accepted steps until it is looked at again.
@@ -61,7 +66,7 @@ class Halving:
     found: float = 0.0
 
     def accepted(self, values: Floats) -> Halving:
-        """After a step that ends with these values of the links, shape (L,)."""
+        """After a step that ends with these judged values, shape (W,)."""
         left = PROBED if self.left == 0 else self.left - 1
         return Halving(np.maximum(self.sizes, np.abs(values)), self.lasting, left)
 
@@ -88,6 +93,9 @@ def halved(
     the held input rather than with its value at the end. The first half once more in halves tells
     the two apart.
 
+    Judged are the links, and recorded outputs of components with inputs, which no other input may
+    see: a component at the end of a chain makes something of its held inputs, too.
+
     Returns
     -------
     Trial
@@ -105,7 +113,7 @@ def halved(
         """The last trial of two, and the links' values after the first."""
         between = start + (stop - start) / 2.0
         first = made(state, start, between)
-        values = ensemble.Y[ensemble.source]
+        values = ensemble.Y[ensemble.judged]
         if not math.isfinite(first.error):
             return first, values
         settle_discrete(ensemble, between)
@@ -117,7 +125,7 @@ def halved(
             ensemble.level = 0
 
     whole = made(state, time, end)
-    at_end = ensemble.Y[ensemble.source]
+    at_end = ensemble.Y[ensemble.judged]
     if not math.isfinite(whole.error):
         return whole
     at_middle = None
@@ -125,20 +133,22 @@ def halved(
         ensemble.restore()
         quarters, _ = in_halves(state, time, middle)
         if math.isfinite(quarters.error):
-            at_middle = ensemble.Y[ensemble.source]
+            at_middle = ensemble.Y[ensemble.judged]
     ensemble.restore()
     rest, first_half = in_halves(state, time, end)
     if not at_end.size or not math.isfinite(rest.error):
         return rest
-    found = ensemble.Y[ensemble.source]
+    found = ensemble.Y[ensemble.judged]
     difference = found - at_end
     if at_middle is not None:
         # a h + b h^3 over the step, a h/2 + b h^3/8 over its half.
         lasting = np.abs(difference - 2.0 * (at_middle - first_half)) * (4.0 / 3.0)
         size = np.abs(difference)
         halving.lasting = np.divide(lasting, size, out=np.ones(len(size)), where=size > lasting)
-    scale = ensemble.nominal + np.maximum(halving.sizes, np.abs(found))
+    scale = ensemble.judged_nominal + np.maximum(halving.sizes, np.abs(found))
     relative = np.abs(difference) / (2.0**ORDER_HELD - 1.0) / scale
+    if end - time <= SHORTEST_JUDGED * horizon:
+        relative[len(ensemble.links) :] = 0.0
     halving.found = float(relative.max())
     share = max(SHARES * (end - time) / horizon, LEAST_SHARE)
     allowed = np.maximum(relative * halving.lasting / share, relative / PASSING_SHARE)

@@ -61,6 +61,18 @@ back. The jump is late by half a step on average. The parabola through the last 
 to rise by 3/4 of the jump in the middle of the next step, and falls short by 1/4 in the one after
 that, which makes up for the half step; only values that are equally far apart do so."""
 
+LONGEST_BETWEEN = 1e-2
+"""Longest step, as a part of the horizon, where a connection is discrete: a value that changes and
+changes back within one step is not seen."""
+
+LEAST_BETWEEN = 1e-3
+"""The same for FMUs that cannot be set back, where it is the tolerance if that is larger: changes
+are late by up to a step."""
+
+MOST_IN_A_ROW = 8
+"""Located changes of discrete values in so many steps, one right after the other, from which on
+they are not located: such a value does not stay constant between events."""
+
 SMALLEST_STEP = 16.0
 """Smallest step, in units in the last place of the time: time does not resolve a shorter one."""
 
@@ -174,14 +186,18 @@ def run_adaptive(
     stepper, ensemble = session.stepper, session.ensemble
     assert isinstance(stepper, AdaptiveStepper)  # as a tolerance is given
     horizon = session.stop - session.start
-    halving = Halving(np.abs(ensemble.Y[ensemble.source]), np.ones(len(ensemble.links)), 0)
-    pace = Pace(halving.sizes)
+    halving = Halving(np.abs(ensemble.Y[ensemble.judged]), np.ones(len(ensemble.judged)), 0)
+    pace = Pace(np.abs(ensemble.Y[ensemble.source]))
     shortest = _shortest_kept(session, tolerance)
     guess = max(SHORTEST_KEPT * horizon, min(stepper.first_step(state), FIRST_SHARE * horizon))
     size = StepSize(first_step if first_step is not None else guess)
     time = session.start
     late = 0
     event = session.next_event(time)
+    switches = bool(ensemble.system.discrete_links)
+    sent = ensemble.discrete_values() if switches else []
+    longest = _longest(session, tolerance) if switches else math.inf
+    streak = 0
     compiled = _compiled(session, tolerance)
     assert not isinstance(compiled, CompiledHeld)  # which takes no tolerance
     while time < session.stop:
@@ -200,7 +216,7 @@ def run_adaptive(
             refused = None if compiled is None else compiled.refused
             before = ensemble.Y[ensemble.source]
             while True:
-                end = _end(time, size.length, target)
+                end = _end(time, min(size.length, longest), target)
                 trial, error = _tried(session, stepper, state, time, end, tolerance, halving, pace)
                 order = trial.order if trial is not None else 1
                 if stepper.predicts and trial is not None:
@@ -212,6 +228,19 @@ def run_adaptive(
                     # A step may be good for the loop and too long for what is recorded in it.
                     error = max(error, session.unresolved(end))
                     refused = None
+                if (
+                    trial is not None
+                    and switches
+                    and session.takes_back
+                    and streak < MOST_IN_A_ROW
+                    and end - time > shortest
+                    and ensemble.discrete_values() != sent
+                ):
+                    # A discrete value has changed somewhere in the step: bisection finds where.
+                    ensemble.restore()
+                    session.rejected += 1
+                    size = replace(size, length=(end - time) / 2.0, rejected=True)
+                    continue
                 if trial is not None and error <= 1.0:
                     late = 0
                     begins = stepper.predicts and not pace.decided
@@ -247,19 +276,42 @@ def run_adaptive(
                 size = size.refused(error, end - time, order)
             settle_discrete(ensemble, end)
             state = trial.state
+            switched = switches and (values := ensemble.discrete_values()) != sent
             session.largest_error = max(session.largest_error, trial.error)
             if stepper.halves:
-                halving = halving.accepted(ensemble.Y[ensemble.source])
+                halving = halving.accepted(ensemble.Y[ensemble.judged])
             if stepper.predicts:
                 pace = pace.followed(predicted, lag, time, end - time, ensemble.Y[ensemble.source])
+            if switched:
+                sent = values
+                streak += 1
+                # It is late by so much at most.
+                late_by = (end - time) / horizon
+                session.largest_error = max(session.largest_error, late_by)
+                session.missed += end - time > shortest
+                session.exchange.run(end)
+                state = stepper.start(end, state)
+                size = size.restarted(min(longest, stepper.first_step(state) or shortest))
+                session.leave(time)
+                session.arrive(end)
+                time = end
+                continue
+            streak = 0
             time = end
             if time < target or math.isinf(event):
                 session.record(time)
         else:
             state = session.cross(state, time, event)
+            sent = ensemble.discrete_values() if switches else []
             time = event
             size = size.restarted(min(size.length, stepper.first_step(state) or shortest))
             event = session.next_event(time)
+
+
+def _longest(session: Session, tolerance: float) -> float:
+    """Longest step, in seconds, where discrete links may change within it."""
+    share = LONGEST_BETWEEN if session.takes_back else max(tolerance, LEAST_BETWEEN)
+    return share * (session.stop - session.start)
 
 
 def _shortest_kept(session: Session, tolerance: float) -> float:

@@ -6,13 +6,13 @@ descriptions alone, so a mistake is found before anything runs.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from congelation.errors import InvalidInput, counted, nearest, require, require_all
+from congelation.arguments import check_fields
+from congelation.errors import InvalidInput, counted, nearest
 from congelation.fmi.description import Description, Variable, describe
 from congelation.fmi.start_values import StartValue, resolve_start
 from congelation.fmi.units import Conversion, conversion
@@ -26,7 +26,6 @@ __all__ = [
     "Recorded",
     "ResolvedSystem",
     "System",
-    "derivative_name",
 ]
 
 MAX_DERIVATIVE = 3
@@ -58,12 +57,7 @@ class Component:
     start: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        require(self.name, str, "Component.name", "a string")
-        require(self.fmu, (str, os.PathLike), f"component '{self.name}': fmu", "a path")
-        require(self.start, Mapping, f"component '{self.name}': start", "values by name")
-        if not {str}.issuperset(map(type, self.start)):  # a study makes a component for each run
-            for name in self.start:
-                require(name, str, f"component '{self.name}': a name in start", "a string")
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -83,8 +77,7 @@ class Connection:
     target: str
 
     def __post_init__(self) -> None:
-        require(self.source, str, "Connection.source", "a string, component.variable")
-        require(self.target, str, "Connection.target", "a string, component.variable")
+        check_fields(self)
 
     @classmethod
     def parse(cls, text: str) -> Connection:
@@ -156,10 +149,11 @@ class ResolvedSystem:
     Parameters
     ----------
     links : tuple of Link
-        Connections between Real variables.
+        Connections from Real outputs that follow the time.
     discrete_links : tuple of Link
-        Connections between Integer, Boolean and String variables; they are copied at
-        communication points, whatever the coupling.
+        Connections from Integer, Boolean and String outputs, and from Real ones that are constant
+        between events (variability "discrete"); they are copied at communication points, whatever
+        the coupling.
     """
 
     members: tuple[Member, ...]
@@ -175,7 +169,7 @@ class ResolvedSystem:
         """Whether derivatives reach the target by fmi2SetRealInputDerivatives, rather than by
         inputs der(v), der(v,2), der(v,3) of its own."""
         able = self.members[link.target].description.can_interpolate_inputs
-        return able and link.target_derivatives[0] is None
+        return able and link.target_derivatives[0] is None and not link.input.is_held
 
     def input_order(self, link: Link) -> int:
         """Highest derivative that a link's target takes, all lower ones included."""
@@ -223,7 +217,6 @@ class ResolvedSystem:
         InvalidInput
             A name that does not exist.
         """
-        require_all(names, str, key, "a string, component.variable")
         found: dict[str, Recorded] = {}
         for name in names:
             what = f"{key} '{name}'"
@@ -237,6 +230,12 @@ class ResolvedSystem:
 @dataclass(frozen=True)
 class System:
     """Components and the connections between them.
+
+    Parameters
+    ----------
+    components : tuple of Component
+    connections : tuple of Connection
+        Or texts such as ``"plant.x -> controller.x"``.
 
     Examples
     --------
@@ -258,13 +257,10 @@ class System:
     connections: tuple[Connection, ...] = ()
 
     def __post_init__(self) -> None:
-        require_all(self.components, Component, "System.components", "a Component")
-        require_all(
-            self.connections,
-            Connection,
-            "System.connections",
-            "a Connection, such as Connection.parse('plant.x -> controller.x')",
-        )
+        if isinstance(self.connections, list | tuple):  # each of which may be a text
+            parsed = (Connection.parse(c) if isinstance(c, str) else c for c in self.connections)
+            object.__setattr__(self, "connections", tuple(parsed))
+        check_fields(self)
 
     def resolve(self, *, held: bool = False) -> ResolvedSystem:
         """Find every name.
@@ -308,8 +304,8 @@ class System:
             while len(_LINKS) >= KEPT_SYSTEMS:
                 _LINKS.pop(next(iter(_LINKS)))
             _LINKS[key] = (
-                tuple(link for link in links if link.input.type == "Real"),
-                tuple(link for link in links if link.input.type != "Real"),
+                tuple(link for link in links if not link.output.is_held),
+                tuple(link for link in links if link.output.is_held),
             )
         return ResolvedSystem(members, *_LINKS[key])
 
@@ -318,11 +314,6 @@ KEPT_SYSTEMS = 64
 """Whose links are kept."""
 
 _LINKS: dict[object, tuple[tuple[Link, ...], tuple[Link, ...]]] = {}
-
-
-def derivative_name(name: str, order: int) -> str:
-    """The name of the derivative variable of `order`: der(v), der(v,2), der(v,3)."""
-    return f"der({name})" if order == 1 else f"der({name},{order})"
 
 
 def _check_names(names: Sequence[str]) -> None:
@@ -387,7 +378,9 @@ def _links(
             _derivatives(members[target].description, input_, "input"),
             converted.factor,
             converted.offset,
-            converted.doubt,
+            converted.doubt
+            or members[source].description.misfit(output)
+            or members[target].description.misfit(input_),
         )
 
 
@@ -404,7 +397,11 @@ def _pairs(
     by_index = {variable.name[len(input_name) :]: variable for variable in inputs}
     if sorted(by_index) != sorted(variable.name[len(output_name) :] for variable in outputs):
         given, wanted = counted(len(outputs), "output"), counted(len(inputs), "input")
-        raise InvalidInput(f"{place}: {given} for {wanted}; the indices must agree")
+        remedy = "the indices must agree"
+        if input_name == "yr":
+            remedy += "; a law of order n takes the reference and its derivatives up to the n-th: "
+            remedy += "build a reference of that n (docs/theory.md, 'Tracking')"
+        raise InvalidInput(f"{place}: {given} for {wanted}; {remedy}")
     return [(variable, by_index[variable.name[len(output_name) :]]) for variable in outputs]
 
 
@@ -456,14 +453,8 @@ def _conversion(
 def _derivatives(
     description: Description, variable: Variable, causality: str
 ) -> tuple[Variable | None, ...]:
-    found = (
-        description.variables.get(derivative_name(variable.name, order))
-        for order in range(1, MAX_DERIVATIVE + 1)
-    )
-    return tuple(
-        v if v is not None and v.causality == causality and v.type == "Real" else None
-        for v in found
-    )
+    orders = range(1, MAX_DERIVATIVE + 1)
+    return tuple(description.derivative(variable, causality, order) for order in orders)
 
 
 def _without_implied(links: Sequence[Link]) -> list[Link]:

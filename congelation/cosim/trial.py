@@ -14,7 +14,15 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.abilities import Abilities, Lack, lack_of
+from congelation.cosim.abilities import (
+    LENGTHS,
+    REFUSED_LENGTH,
+    REFUSED_STATE,
+    STATES,
+    Abilities,
+    Lack,
+    lack_of,
+)
 from congelation.cosim.coupling import Coupling, Derivative, GaussSeidel, Hermite, Stepper
 from congelation.cosim.coupling.points import Points
 from congelation.cosim.ensemble import Ensemble
@@ -131,13 +139,26 @@ class Trial:
         An FMU that fails otherwise than by an ability that it lacks leaves the choice to what is
         declared: the run will say what fails.
         """
+        # Values that are not finite are looked at by the run, which names them.
+        with np.errstate(over="ignore", invalid="ignore"):
+            self._find_lack(lender)
+            doubt = self.lack
+            if doubt is not None and doubt.ability == LENGTHS and self._saves:
+                # The step that was refused began from a restored state: either may be the reason.
+                self._saves, self.lack = False, None
+                self._find_lack(lender)
+                if self.lack is None:
+                    refused = doubt.shown.replace(REFUSED_LENGTH, REFUSED_STATE)
+                    self.lack = doubt._replace(ability=STATES, shown=refused)
+            if self.lack is None:
+                self._choose(lender)
+
+    def _find_lack(self, lender: SlavePool) -> None:
         try:
             if self._system.links:
                 self._try_abilities(lender)
         except (SlaveError, SlaveTerminated, RunEnded) as error:
             self.lack = self.lack or lack_of(error, self._system)
-        if self.lack is None:
-            self._choose(lender)
 
     @contextmanager
     def _begun(self, lender: SlavePool) -> Iterator[tuple[Session, float]]:
@@ -190,16 +211,19 @@ class Trial:
         chosen = self._length is None
         predicted = ", its steps chosen by how well inputs were predicted" if chosen else ""
         derivative = SEQUENCES[0]
-        if not self._system.links and not chosen:
-            self.coupling, self.why = derivative, "no numbers are exchanged"
+        if not self._system.links:
+            self.coupling = Derivative() if chosen else derivative
+            self.why = (
+                "all values that are exchanged are discrete"
+                if self._system.discrete_links
+                else "nothing is connected"
+            )
             return
         if self._able and (chosen or self._converges(lender)):
             self.coupling = Hermite(jumps="pass")
             self.why = (
                 "all FMUs can save their state, take polynomials as inputs and know derivatives "
                 "of their outputs"
-                if self._system.links
-                else "no numbers are exchanged"
             )
             return
         if not self._feeds_back and not self._able:

@@ -60,6 +60,49 @@ def truck_fmu(folder: Path) -> Path:
     return compile_fmu(folder / "truck.fmu", "truck.c", described)
 
 
+def signals_fmu(folder: Path, *, fixed: bool = False) -> Path:
+    """Signals of time, among them discrete ones, and an integrator of such; see signals.c.
+
+    `fixed`: whether it takes steps of 0.5 s alone.
+    """
+    reals = {
+        "u": 'causality="input"',
+        "x": 'causality="output"',
+        "s": 'causality="output"',
+        "held": 'causality="output" variability="discrete"',
+        "z": 'causality="output"',
+        "der(z)": 'causality="output"',
+        **dict.fromkeys(("a", "w", "fault"), 'causality="parameter" variability="fixed"'),
+    }
+    listed = [
+        f'<ScalarVariable name="{name}" valueReference="{k}" {kind}>'
+        + ("<Real/>" if "output" in kind else f'<Real start="{float(name == "w")}"/>')
+        for k, (name, kind) in enumerate(reals.items())
+    ]
+    for name, number, kind, start in (
+        ("switch", 0, "Boolean", ' start="false"'),
+        ("on", 1, "Boolean", ""),
+        ("level", 0, "Integer", ' start="0"'),
+        ("count", 1, "Integer", ""),
+    ):
+        listed.append(
+            f'<ScalarVariable name="{name}" valueReference="{number}" '
+            f'causality="{"input" if start else "output"}" variability="discrete"><{kind}{start}/>'
+        )
+    variables = "".join(f"{variable}</ScalarVariable>" for variable in listed)
+    outputs = "".join(f'<Unknown index="{k}" dependencies=""/>' for k in (2, 3, 4, 5, 6, 11, 13))
+    length = "" if fixed else ' canHandleVariableCommunicationStepSize="true"'
+    return compile_fmu(
+        folder / f"signals_{fixed}.fmu",
+        "signals.c",
+        '<?xml version="1.0" encoding="UTF-8"?>'
+        '<fmiModelDescription fmiVersion="2.0" modelName="signals" guid="{4}">'
+        f'<CoSimulation modelIdentifier="signals" canGetAndSetFMUstate="true"{length}/>'
+        f'<DefaultExperiment stepSize="0.5"/><ModelVariables>{variables}</ModelVariables>'
+        f"<ModelStructure><Outputs>{outputs}</Outputs></ModelStructure></fmiModelDescription>",
+    )
+
+
 def _described(
     name: str, variables: Sequence[str], causalities: Mapping[str, str], outputs: str
 ) -> str:

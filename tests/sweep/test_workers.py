@@ -106,3 +106,16 @@ def test_a_worker_that_is_killed_between_runs_is_replaced(job: Job) -> None:
         other = int(ended(workers, "pid")["0"].outcome.message)
     assert other != pid
     assert not is_alive(other)
+
+
+def test_a_worker_that_is_stopped_between_runs_is_replaced(
+    job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by SIGSTOP; the time limit ends it, and the run that it would have done is done."""
+    monkeypatch.setattr(sys.modules[Local.__module__], "GRACE", 0.5)
+    workers = Local(1, stub)  # type: ignore[arg-type]
+    with workers.running(job):
+        pid = int(ended(workers, "pid")["0"].outcome.message)
+        os.kill(pid, signal.SIGSTOP)
+        assert ended(workers, "a")["0"].outcome.message == "a"
+    assert not is_alive(pid)

@@ -47,7 +47,7 @@ POINT, BEFORE_JUMP, AFTER_JUMP, VISITED = range(4)
 
 def fits(ensemble: Ensemble, columns: Columns) -> bool:
     """Whether a run is one that the compiled loop makes: its connections and what is recorded are
-    Real, and nothing but the steps changes them."""
+    continuous, and nothing but the steps changes them."""
     return columns.follows and not ensemble.system.discrete_links
 
 
@@ -116,6 +116,9 @@ class Compiled:
             recorded=self._address(recorded.astype(np.intp)),
             width=len(recorded),
             every=every,
+            n_judged=len(ensemble.judged),
+            judged=self._address(ensemble.judged),
+            judged_nominal=self._address(ensemble.judged_nominal),
         )
 
     def _address(self, array: Any) -> int:

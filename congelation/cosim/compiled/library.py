@@ -30,7 +30,7 @@ def load_library(file: Path) -> ctypes.CDLL | None:
     except (OSError, AttributeError):
         return None
     found.work_size.restype = ctypes.c_size_t
-    found.work_size.argtypes = [ctypes.c_size_t, ctypes.c_size_t]
+    found.work_size.argtypes = [ctypes.c_size_t] * 3
     return found
 
 

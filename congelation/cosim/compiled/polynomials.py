@@ -90,14 +90,17 @@ class CompiledPolynomials(Compiled):
             first_change=first_change,
             shortest_kept=shortest_kept,
             horizon=stop - start,
-            work=self._address(np.zeros(self.library.work_size(links, unknowns))),
+            work=self._address(
+                np.zeros(self.library.work_size(links, unknowns, len(ensemble.judged)))
+            ),
             **fields,
         )
         self._table = np.zeros((2, KEPT, links))
         self._J = np.zeros((unknowns, unknowns))
         self._grids = _judging(rows)
         self._samples = [np.empty((NODES, grid.columns.sampled.size)) for grid in self._grids]
-        self._sizes, self._lasting = np.zeros(links), np.zeros(links)
+        judged = len(ensemble.judged)
+        self._sizes, self._lasting = np.zeros(judged), np.zeros(judged)
         self._memory = Memory(
             state=State(table=self._address(self._table), J=self._address(self._J)),
             sizes=self._address(self._sizes),

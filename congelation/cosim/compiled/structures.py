@@ -129,6 +129,9 @@ class Loop(ctypes.Structure):
         ("function", ctypes.c_char_p),
         ("time", ctypes.c_double),
         ("level", ctypes.c_int),
+        ("n_judged", ctypes.c_ssize_t),
+        ("judged", ctypes.c_void_p),
+        ("judged_nominal", ctypes.c_void_p),
     ]
 
 

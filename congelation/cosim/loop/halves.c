@@ -2,6 +2,7 @@
 
 enum { PROBED = 8 };
 static const double SHARES = 2.0, LEAST_SHARE = 1e-2, PASSING_SHARE = 0.3, FLOOR_EXPONENT = 0.25;
+static const double SHORTEST_JUDGED = 1e-6;
 
 /* A step for a trial, whatever the coupling. */
 static int make(Loop *loop, const Plan *plan, const State *from, State *to, double time, double end,
@@ -11,12 +12,12 @@ static int make(Loop *loop, const Plan *plan, const State *from, State *to, doub
     return code == DONE && !is_finite(loop) ? NOT_FINITE : code;
 }
 
-/* The last trial of two, and the values of the links after the first, (L,). */
+/* The last trial of two, and the judged values after the first, (n_judged,). */
 static int in_halves(Loop *loop, const Plan *plan, const State *from, State *middle, State *to,
                      double time, double end, Trial *trial, double *values) {
     const double between = time + (end - time) / 2.0;
     int code = make(loop, plan, from, middle, time, between, trial);
-    for (ptrdiff_t k = 0; k < loop->n_links; k++) values[k] = loop->Y[loop->source[k]];
+    for (ptrdiff_t k = 0; k < loop->n_judged; k++) values[k] = loop->Y[loop->judged[k]];
     if (code || !isfinite(trial->error)) return code;
     loop->level = 1;
     code = save(loop);
@@ -28,14 +29,14 @@ static int in_halves(Loop *loop, const Plan *plan, const State *from, State *mid
 /* `halved`: the error of a step is what its halves, which are kept, differ by. */
 static int halved(Loop *loop, const Plan *plan, Memory *memory, State *states, double time, double end,
                   Trial *trial) {
-    const ptrdiff_t L = loop->n_links, n = 2 * plan->n_back;
+    const ptrdiff_t L = loop->n_links, W = loop->n_judged, n = 2 * plan->n_back;
     double *at_end = plan->work + trial_size((size_t)L, (size_t)n)
                    + TRIALS * state_size((size_t)L, (size_t)n);
-    double *at_middle = at_end + L, *first_half = at_middle + L;
+    double *at_middle = at_end + W, *first_half = at_middle + W;
     const State *from = &memory->state;
     int probes = 0;
     int code = make(loop, plan, from, &states[0], time, end, trial);
-    for (ptrdiff_t k = 0; k < L; k++) at_end[k] = loop->Y[loop->source[k]];
+    for (ptrdiff_t k = 0; k < W; k++) at_end[k] = loop->Y[loop->judged[k]];
     if (code || !isfinite(trial->error)) return code;
     if (!memory->left) {
         if ((code = restore(loop))) return code;
@@ -43,24 +44,26 @@ static int halved(Loop *loop, const Plan *plan, Memory *memory, State *states, d
                          trial, first_half);
         if (code) return code;
         probes = isfinite(trial->error);
-        for (ptrdiff_t k = 0; k < L; k++) at_middle[k] = loop->Y[loop->source[k]];
+        for (ptrdiff_t k = 0; k < W; k++) at_middle[k] = loop->Y[loop->judged[k]];
     }
     if ((code = restore(loop))) return code;
     code = in_halves(loop, plan, from, &states[1], &states[0], time, end, trial, first_half);
-    if (code || !L || !isfinite(trial->error)) return code;
+    if (code || !W || !isfinite(trial->error)) return code;
     const double least = SHARES * (end - time) / plan->horizon;
     const double share = least > LEAST_SHARE ? least : LEAST_SHARE;
     double worst = 0.0;
     memory->found = 0.0;
-    for (ptrdiff_t k = 0; k < L; k++) {
-        const double found = loop->Y[loop->source[k]], difference = found - at_end[k];
+    const int is_short = end - time <= SHORTEST_JUDGED * plan->horizon;
+    for (ptrdiff_t k = 0; k < W; k++) {
+        const double found = loop->Y[loop->judged[k]], difference = found - at_end[k];
         if (probes) {
             /* a h + b h^3 over the step, a h/2 + b h^3/8 over its half */
             const double lasting = fabs(difference - 2.0 * (at_middle[k] - first_half[k])) * (4.0 / 3.0);
             memory->lasting[k] = fabs(difference) > lasting ? lasting / fabs(difference) : 1.0;
         }
         const double size = memory->sizes[k] > fabs(found) ? memory->sizes[k] : fabs(found);
-        const double error = fabs(difference) / 3.0 / (loop->nominal[k] + size);
+        const double error = is_short && k >= L ? 0.0
+            : fabs(difference) / 3.0 / (loop->judged_nominal[k] + size);
         const double lasts = error * memory->lasting[k] / share, passes = error / PASSING_SHARE;
         if (error > memory->found) memory->found = error;
         if (lasts > worst) worst = lasts;
@@ -80,8 +83,8 @@ static int is_floor(const Memory *memory, double length, double tolerance) {
 
 static void accept_halves(const Loop *loop, Memory *memory) {
     memory->left = memory->left ? memory->left - 1 : PROBED;
-    for (ptrdiff_t k = 0; k < loop->n_links; k++) {
-        const double size = fabs(loop->Y[loop->source[k]]);
+    for (ptrdiff_t k = 0; k < loop->n_judged; k++) {
+        const double size = fabs(loop->Y[loop->judged[k]]);
         if (size > memory->sizes[k]) memory->sizes[k] = size;
     }
 }

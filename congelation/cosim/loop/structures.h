@@ -100,6 +100,9 @@ typedef struct {
     const char *function;     /* that call */
     double time;              /* at the beginning of its step */
     int level;                /* of the states that are saved and restored */
+    ptrdiff_t n_judged;       /* values that steps in halves are judged by: the links, and what is */
+    const ptrdiff_t *judged;  /* recorded besides; their places in Y */
+    const double *judged_nominal;
 } Loop;
 
 enum { KEPT = 3, NODES = 6 };
@@ -130,7 +133,7 @@ typedef struct {
     State state;
     double step, error_before, event;
     double refused_length, refused_error;  /* of the last trial of a step that goes on; length 0: none */
-    double *sizes, *lasting;  /* (L,) */
+    double *sizes, *lasting;  /* (n_judged,) */
     double found;
     int left, rejected, n_grids;
     Grid *grids;              /* those that judge steps */

@@ -5,8 +5,8 @@
 enum { TRIALS = 3 };
 static size_t trial_size(size_t L, size_t n) { return 14 * L + 6 * n + n * n; }
 static size_t state_size(size_t L, size_t n) { return 2 * KEPT * L + n * n; }
-EXPORT size_t work_size(size_t L, size_t n) {
-    return trial_size(L, n) + TRIALS * state_size(L, n) + 4 * L;
+EXPORT size_t work_size(size_t L, size_t n, size_t n_judged) {
+    return trial_size(L, n) + TRIALS * state_size(L, n) + 3 * n_judged;
 }
 
 /* The largest of `distance` relative to nominal value plus size. */

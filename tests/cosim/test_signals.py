@@ -1,0 +1,137 @@
+"""What a tolerance promises of values that no input sees, and of those that follow from discrete
+ones."""
+
+import numpy as np
+import pytest
+
+from congelation.cosim import Component, Connection, Output, Status, System, simulate, stepping
+
+from .c_fmus import signals_fmu
+
+TOLERANCE = 1e-4
+
+
+@pytest.fixture(scope="module")
+def fmu(tmp_path_factory):
+    return signals_fmu(tmp_path_factory.mktemp("signals"))
+
+
+def system(fmu, *links, **starts):
+    """A source s, and an integrator i that listens to it."""
+    parts = tuple(Component(name, fmu, starts.get(name, {})) for name in "si")
+    return System(parts, tuple(Connection.parse(link) for link in links))
+
+
+@pytest.mark.parametrize("w", [5.0, 20.0])
+@pytest.mark.parametrize("coupling", ["derivative", "hermite"])
+def test_an_integrator_at_the_end_of_a_chain_is_as_accurate_as_the_tolerance_says(
+    fmu, coupling, w, monkeypatch
+):
+    """x' = -x + sin(w t), by both loops."""
+    T = 2.0
+    exact = (w * np.exp(-T) + np.sin(w * T) - w * np.cos(w * T)) / (1.0 + w * w)
+    connected = system(fmu, "s.s -> i.u", s={"w": w}, i={"a": -1.0})
+    wanted = {"tolerance": TOLERANCE, "coupling": coupling, "record": ["i.x"]}
+    result = simulate(connected, stop_time=T, **wanted)
+    assert result.status is Status.COMPLETED
+    assert abs(result.values[-1, 0] - exact) < 10.0 * TOLERANCE
+    assert result.statistics.estimated_error > 0.0
+    assert result.statistics.macro_steps < 5000
+    monkeypatch.setattr(stepping, "available", lambda: False)
+    again = simulate(connected, stop_time=T, **wanted)
+    assert again.time.tolist() == result.time.tolist()
+    assert again.values.tolist() == result.values.tolist()
+
+
+@pytest.mark.parametrize("coupling", ["auto", "derivative", "hermite"])
+@pytest.mark.parametrize(
+    ("link", "T", "exact", "jumps"),
+    [
+        ("s.on -> i.switch", 1.0, 1.0 - 0.3337, 1),
+        ("s.count -> i.level", 1.0, 4.5, 10),
+        ("s.held -> i.u", 0.95, sum(np.sin(0.5 * k) for k in range(9)) / 10.0, 9),
+    ],
+)
+def test_changes_of_discrete_values_are_located(fmu, coupling, link, T, exact, jumps):
+    """x' = the value, x(0) = 0; the last one of `held` counts half."""
+    if link.startswith("s.held"):
+        exact += 0.05 * np.sin(0.5 * 9)
+    result = simulate(
+        system(fmu, link),
+        stop_time=T,
+        tolerance=TOLERANCE,
+        coupling=coupling,
+        record=["i.x"],
+    )
+    assert result.status is Status.COMPLETED
+    assert result.values[-1, 0] == pytest.approx(exact, abs=TOLERANCE)
+    assert result.statistics.events == jumps
+    assert 0.0 < result.statistics.estimated_error <= TOLERANCE
+    assert result.statistics.macro_steps < 600
+
+
+@pytest.mark.parametrize("coupling", ["auto", "jacobi", "derivative", "hermite"])
+def test_a_discrete_real_is_held_at_a_fixed_step(fmu, coupling):
+    """x' = -x + held: exact at the samples of the source."""
+    result = simulate(
+        system(fmu, "s.held -> i.u", i={"a": -1.0}),
+        stop_time=2.0,
+        step=0.1,
+        coupling=coupling,
+        record=["i.x"],
+    )
+    x, decay = 0.0, np.exp(-0.1)
+    for k in range(20):
+        x = decay * x + (1.0 - decay) * np.sin(0.5 * k)
+    assert result.values[-1, 0] == pytest.approx(x, abs=1e-12)
+
+
+def test_a_recorded_value_with_a_derivative_that_no_input_sees_is_resolved(fmu):
+    """cos(50 t) beside sin t, on a grid."""
+    result = simulate(
+        system(fmu, "s.s -> i.u", i={"a": -1.0}),
+        stop_time=2.0,
+        tolerance=TOLERANCE,
+        coupling="hermite",
+        record=["s.z"],
+        output=Output(interval=0.01),
+    )
+    assert np.abs(result.values[:, 0] - np.cos(50.0 * result.time)).max() < 1e-3
+
+
+def test_what_auto_says_where_no_real_values_are_exchanged(fmu):
+    options = {"stop_time": 1.0, "tolerance": TOLERANCE}
+    assert simulate(system(fmu), **options).choice == "auto: derivative, as nothing is connected"
+    assert simulate(system(fmu, "s.on -> i.switch"), **options).choice == (
+        "auto: derivative, as all values that are exchanged are discrete"
+    )
+
+
+def test_a_tolerance_that_fixed_steps_do_not_keep_is_named(tmp_path):
+    result = simulate(
+        system(signals_fmu(tmp_path, fixed=True), "s.s -> i.u"), stop_time=1.0, tolerance=TOLERANCE
+    )
+    assert result.status is Status.COMPLETED
+    assert "The tolerance of 0.0001 is not kept" in result.message
+
+
+def test_a_derivative_that_is_no_number_is_named(fmu):
+    """Rather than a loop that has no solution."""
+    result = simulate(
+        system(fmu, "s.z -> i.u", s={"fault": 1.0}), stop_time=1.0, step=0.1, coupling="derivative"
+    )
+    assert result.status is Status.NON_FINITE
+    assert result.message == "s.der(z) at t = 0 is nan"
+
+
+def test_states_without_the_time_are_told_from_steps_of_one_length(fmu):
+    """x' = -x + sin t, from an FMU that refuses a step from its restored state."""
+    connected = system(fmu, "s.s -> i.u", s={"fault": 2.0}, i={"a": -1.0})
+    result = simulate(connected, stop_time=1.0, tolerance=TOLERANCE, record=["i.x"])
+    assert result.status is Status.COMPLETED
+    assert (
+        "s declares states that can be saved and restored, but steps from a restored one are "
+        "refused"
+    ) in result.choice
+    exact = (np.exp(-1.0) + np.sin(1.0) - np.cos(1.0)) / 2.0
+    assert result.values[-1, 0] == pytest.approx(exact, abs=10.0 * TOLERANCE)
