@@ -29,7 +29,7 @@ from congelation.report.comparison import (
     verdict,
     write_comparison,
 )
-from congelation.report.other_formats import write_csv, write_mat
+from congelation.report.export_formats import write_csv, write_mat
 from congelation.report.pareto import draw_front, pareto_front
 from congelation.report.run_page import write_html
 from congelation.report.summary import number, summarise_groups

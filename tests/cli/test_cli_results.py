@@ -16,7 +16,7 @@ import pytest
 from scipy.io import loadmat
 
 from congelation.errors import InvalidInput
-from congelation.report.other_formats import matlab_name, write_mat
+from congelation.report.export_formats import matlab_name, write_mat
 from congelation.report.text_table import aligned
 from congelation.results.results import Results
 from congelation.sweep.engine import run

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from congelation.report.other_formats import write_csv
+from congelation.report.export_formats import write_csv
 from congelation.results.record import Trajectory
 from congelation.results.results import Results
 from congelation.sweep.engine import run
