@@ -207,7 +207,7 @@ class Ensemble:
             if event is not None and event.causality == "output" and event.type == "Real":
                 part.plain[EVENT] = event
         keys = [(m, name) for m, part in enumerate(parts) for name in part.names]
-        self._names = [f"{members[m].name}.{name}" for m, name in keys]
+        self.read_names = [f"{members[m].name}.{name}" for m, name in keys]
         self._place = {key: place for place, key in enumerate(keys)}
         self.Y: Floats = np.zeros(len(keys))
         self.read_calls = [bool(part.plain) + bool(part.ranked) for part in parts]
@@ -267,7 +267,7 @@ class Ensemble:
         for k, value in enumerate(self.Y.tolist()):
             if k in self.events:
                 continue
-            where = f"{self._names[k]} at t = {time:.9g}"
+            where = f"{self.read_names[k]} at t = {time:.9g}"
             if not math.isfinite(value):
                 raise RunEnded(Status.NON_FINITE, f"{where} is {value}")
             if abs(value) > LARGEST_VALUE:
