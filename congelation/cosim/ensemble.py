@@ -482,6 +482,12 @@ class Ensemble:
             self._states[self.level] = [(slave, slave.state_handle()) for slave in self.slaves]
         return [state for _, state in self._states[self.level]]
 
+    def forget_states(self) -> None:
+        """Free what was saved."""
+        self._states.clear()
+        for slave in self.slaves:
+            slave.free_states()
+
     def restore(self) -> None:
         """Take all slaves back to the saved states."""
         for slave, state in self._states[self.level]:

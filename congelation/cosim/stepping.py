@@ -356,6 +356,7 @@ def _require_restored(session: Session, state: Any, length: float) -> None:
     except (RunEnded, StepDiscarded, SlaveTerminated):
         ensemble.restore()  # the run will say what it is, or take a shorter step
         ensemble.Y[:] = before
+    ensemble.forget_states()
     ensemble.calls, stepper.iterations = counts[:2]
     for slave, warnings in zip(ensemble.slaves, counts[2], strict=True):
         slave.log.warnings = warnings
