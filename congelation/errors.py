@@ -15,7 +15,6 @@ import difflib
 import itertools
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from numbers import Integral
 
 import numpy as np
 
@@ -28,8 +27,6 @@ __all__ = [
     "amount",
     "counted",
     "nearest",
-    "require",
-    "require_all",
     "require_count",
     "shown",
 ]
@@ -131,41 +128,13 @@ def nearest(name: str, valid: Iterable[str]) -> str:
     return f"none of the {len(names)} valid names is near"
 
 
-def require(value: object, kind: type | tuple[type, ...], name: str, valid: str) -> None:
-    """Refuse a value of another type; true and false are no numbers.
-
-    Raises
-    ------
-    InvalidInput
-        With the name, the value, and what is valid.
-    """
-    kinds = kind if isinstance(kind, tuple) else (kind,)
-    if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):
-        raise InvalidInput(f"{name} = {shown(value)} is not valid; give {valid}")
-
-
-def require_all(values: object, kind: type | tuple[type, ...], name: str, valid: str) -> None:
-    """Refuse what is no list or tuple of values of one type, which `valid` names in the singular.
+def require_count(value: int, name: str) -> None:
+    """Refuse a number below 1.
 
     Raises
     ------
     InvalidInput
     """
-    require(values, (list, tuple), name, f"a tuple, each entry {valid}")
-    assert isinstance(values, list | tuple)
-    for place, value in enumerate(values):
-        require(value, kind, f"{name}[{place}]", valid)
-
-
-def require_count(value: object, name: str) -> None:
-    """Refuse what is no whole number of at least 1.
-
-    Raises
-    ------
-    InvalidInput
-    """
-    require(value, Integral, name, "a whole number of at least 1")
-    assert isinstance(value, Integral)
     if value < 1:
         raise InvalidInput(f"{name} = {value} is not valid; give a whole number of at least 1")
 

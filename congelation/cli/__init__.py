@@ -10,7 +10,7 @@ import errno
 import io
 import os
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib import import_module
 from typing import Annotated, NoReturn, TextIO
 
@@ -83,8 +83,11 @@ def __getattr__(name: str) -> typer.Typer:
     return _app(_COMMANDS)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command line, with the arguments of the process unless others are given, and exit."""
+def main(arguments: Sequence[str] | None = None, ready: Callable[[], None] = lambda: None) -> None:
+    """Run the command line, with the arguments of the process unless others are given, and exit.
+
+    `ready` is called when everything is imported, before the command begins.
+    """
     words = list(sys.argv[1:] if arguments is None else arguments)
     # Typer has no option whose value may be left out.
     words = ["--trust=bars" if word == "--trust" else word for word in words]

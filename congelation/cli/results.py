@@ -35,7 +35,7 @@ from congelation.report.run_page import write_html
 from congelation.report.summary import number, summarise_groups
 from congelation.report.text_table import aligned
 from congelation.results.print_figures import FORMATS, save
-from congelation.results.results import open_results
+from congelation.results.results import Results, open_results
 from congelation.sweep.plan import FAILURES
 
 __all__ = ["export", "ls", "open", "report", "show"]
@@ -110,6 +110,10 @@ def report(
         return
     (folder,) = folders
     results = open_results(folder)
+    for option, names in (("--by", by or ()), ("--pareto", pareto or ())):
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise InvalidInput(f"{option} {twice} is given twice")
+    _complain_of_lost(results)
     study = results.study()
     formats = form or ["pdf", "png"]
     for name in formats:
@@ -229,6 +233,7 @@ def export(
 ) -> None:
     """Write a result directory for other programs: runs.parquet anew, CSV or a MAT-file."""
     results = open_results(folder)
+    _complain_of_lost(results)
     if csv is None and mat is None:
         print(results.store.export())
     if csv is not None:
@@ -241,6 +246,16 @@ def export(
     if mat is not None:
         write_mat(results, mat)
         print(mat)
+
+
+def _complain_of_lost(results: Results) -> None:
+    """Say which trajectories are missing that were kept."""
+    if lost := results.lost_trajectories():
+        named = ", ".join(lost[:FEW]) + (", .." if len(lost) > FEW else "")
+        complain(
+            f"warning: {counted(len(lost), 'run')} of {results.folder} without the trajectory that "
+            f"was kept: {named}; do them again with `congelation run`, or sweep --resume"
+        )
 
 
 def _inches(text: str) -> float:

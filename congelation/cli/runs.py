@@ -25,6 +25,7 @@ from congelation.cli.shared import (
 from congelation.cosim.compiled import available
 from congelation.errors import CongelationError, InvalidInput, counted
 from congelation.places import check_file
+from congelation.report.summary import without_effect
 from congelation.results.identity import code_version
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
@@ -142,7 +143,7 @@ def run(
             swept=False,
             verify=verify,
             trust=trust is Bars.BARS or (False if trust is None else trust.value),
-            timeout=_positive(timeout),
+            timeout=timeout,
             fmu_log=fmu_log,
         )
     results = _carried_out(plan, Local(workers), progress)
@@ -217,7 +218,7 @@ def sweep(
             resume=bool(resume or dry_run or again),
             retry=again,
             verify=verify,
-            timeout=_positive(timeout),
+            timeout=timeout,
             write=not dry_run,
         )
     place = Local(workers or 1) if scheduler is None else Cluster(scheduler, ship=ship)
@@ -231,6 +232,8 @@ def sweep(
     else:
         print_summary(results)
         print(results.store.index)
+    for name in without_effect(results.study()):
+        complain(f"warning: {name} makes no difference: its values give the same metrics")
     if _complain_of_failures(results.runs):
         raise typer.Exit(FAILED)
 
@@ -293,12 +296,6 @@ def _load(file: Path, *, strict: bool, experiment: Mapping[str, object] | None =
     for warning in warnings:
         complain(f"warning: {warning}")
     return scenario
-
-
-def _positive(timeout: float | None) -> float | None:
-    if timeout is not None and not timeout > 0.0:
-        raise InvalidInput(f"--timeout {timeout:g}: give a positive number of seconds")
-    return timeout
 
 
 def _carried_out(plan: Plan, workers: Workers, form: Form) -> Results:

@@ -13,13 +13,14 @@ from dataclasses import replace
 from pathlib import Path
 from types import FrameType
 
+from congelation.arguments import checked
 from congelation.conformance.accepted import Accepted, read_known
 from congelation.conformance.checker import Checker
 from congelation.conformance.finding import FmuReport, Report, Verdict, merged
 from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Outcome, Rule
 from congelation.conformance.rules import RULES
 from congelation.conformance.subject import DESCRIPTION
-from congelation.errors import InvalidInput, nearest, require_all, require_count
+from congelation.errors import InvalidInput, nearest, require_count
 from congelation.fmi.unpack import require_no_other_kind
 
 __all__ = ["check", "select"]
@@ -70,6 +71,7 @@ def _ended_as_interrupted() -> Iterator[None]:
             signal.signal(number, handler)
 
 
+@checked
 def check(
     paths: Sequence[Path | str],
     *,
@@ -121,7 +123,6 @@ def check(
     >>> cg.check(["fmus/ScalarPlant.fmu"], static=True).failures()
     ()
     """
-    require_all(paths, (str, os.PathLike), "paths", "the path of an FMU")
     if not paths:
         raise InvalidInput("paths is empty; give the FMUs to check")
     if jobs is not None:

@@ -6,24 +6,24 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from numbers import Real
 
+from congelation.arguments import check_fields
 from congelation.cosim.coupling import (
     Auto,
     Coupling,
     Derivative,
     Hermite,
     ModelExchange,
-    check_options,
     make_coupling,
     refuse_tolerance,
 )
 from congelation.cosim.recording import Output
 from congelation.cosim.system import ResolvedSystem
-from congelation.errors import InvalidInput, require, require_all, require_count, shown
+from congelation.errors import InvalidInput, require_count, shown
 
 __all__ = [
     "Experiment",
+    "refuse_too_many_rows",
     "require_abilities",
     "require_resolved_periods",
     "slave_tolerance",
@@ -38,6 +38,9 @@ RESOLVED = 16.0
 
 MOST_POINTS = 1e12
 """Largest number of points of one kind in a run: so many take months."""
+
+MOST_ROWS = 1e8
+"""Rows of a run: each takes 8 bytes a column."""
 
 GRID_ROUNDING = 1e-12
 """A horizon this near to a whole number of steps, relative, is taken to be one."""
@@ -115,22 +118,11 @@ class Experiment:
     max_steps: int | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self, "")
         for name in _NUMBERS:
             value = getattr(self, name)
-            if value is not None or name in ("start_time", "stop_time"):
-                require(value, Real, name, "a number")
-                if not _is_float(value):
-                    raise InvalidInput(
-                        f"{name} = {shown(value)} is not valid; give a finite number"
-                    )
-        for name in ("output_every", "max_steps"):
-            if getattr(self, name) is not None:
-                require_count(getattr(self, name), name)
-        if self.record is not None:
-            require_all(self.record, str, "record", "a string, component.variable")
-        require(self.options, Mapping, "options", "values by name")
-        coupling = "the name of a coupling, or one such as Hermite()"
-        require(self.coupling, (str, Coupling, Auto), "coupling", coupling)
+            if value is not None and not _is_float(value):
+                raise InvalidInput(f"{name} = {shown(value)} is not valid; give a finite number")
         start, stop = self.start_time, self.stop_time
         if not (math.isfinite(stop - start) and stop > start):
             raise InvalidInput(f"stop_time {stop:g} must be finite and after start_time {start:g}")
@@ -138,13 +130,18 @@ class Experiment:
             raise InvalidInput("give a communication step or a tolerance")
         if self.tolerance is not None and not 0.0 < self.tolerance < 1.0:
             raise InvalidInput(f"tolerance {self.tolerance:g} must lie between 0 and 1")
+        if self.slave_tolerance is not None and not self.slave_tolerance > 0.0:
+            raise InvalidInput(f"slave_tolerance {self.slave_tolerance:g} must be positive")
+        for name in ("output_every", "max_steps"):
+            if getattr(self, name) is not None:
+                require_count(getattr(self, name), name)
         if self.options and not isinstance(self.coupling, str):
             raise InvalidInput(
                 "options go with the name of a coupling; this one has its own already"
             )
+        self.given_coupling  # noqa: B018  # refuses what is unknown
         if self.slave_tolerance is not None and self.slave_tolerance <= 0.0:
             raise InvalidInput(f"slave_tolerance {self.slave_tolerance:g} must be positive")
-        check_options(self.given_coupling)
 
     @cached_property
     def given_coupling(self) -> Coupling | Auto:
@@ -190,7 +187,7 @@ class Experiment:
         return None if self.output_every is None else Output(every=self.output_every)
 
 
-def _is_float(number: Real) -> bool:
+def _is_float(number: float) -> bool:
     """Whether a number is finite, and none that only a whole number can be."""
     try:
         return math.isfinite(number)
@@ -219,6 +216,20 @@ def divides(start: float, stop: float, step: float) -> bool:
     return round(ratio) >= 1 and abs(ratio - round(ratio)) <= min(rounding, GRID_SHARE)
 
 
+def refuse_too_many_rows(name: str, interval: float, horizon: float) -> None:
+    """Refuse an output interval that makes more rows than a run can have.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if interval > 0.0 and horizon / interval > MOST_ROWS:
+        raise InvalidInput(
+            f"{name} = {interval:g} asks for {horizon / interval:.3g} "
+            f"rows of a run; give {horizon / MOST_ROWS:g} or more"
+        )
+
+
 def require_resolved_periods(experiment: Experiment, outputs: Sequence[Output]) -> None:
     """Refuse what would make more points than a run can have, or than times can tell apart.
 
@@ -228,7 +239,10 @@ def require_resolved_periods(experiment: Experiment, outputs: Sequence[Output]) 
     """
     start, stop = experiment.start_time, experiment.stop_time
     periods = [("step", experiment.step), *experiment.periods.items()]
-    periods += [("output interval", output.interval) for output in outputs]
+    for output in outputs:
+        if output.interval is not None:
+            refuse_too_many_rows("output interval", output.interval, stop - start)
+            periods.append(("output interval", output.interval))
     for name, period in periods:
         if period is None:
             continue

@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from congelation.arguments import checked
 from congelation.cosim.choice import Lack, chosen, without
 from congelation.cosim.coupling import Auto, Coupling, ModelExchange
 from congelation.cosim.coupling.model_exchange import Smooth
@@ -30,12 +31,13 @@ from congelation.cosim.session import Progress, Session
 from congelation.cosim.sinks import Memory, Recorder
 from congelation.cosim.stepping import run_adaptive, run_fixed
 from congelation.cosim.system import Recorded, ResolvedSystem, System
-from congelation.errors import InvalidInput, SlaveError, require_all
+from congelation.errors import InvalidInput, SlaveError
 from congelation.fmi.slave import Slave, SlaveTerminated
 
 __all__ = ["perform", "simulate"]
 
 
+@checked
 def simulate(
     system: System,
     *,
@@ -112,8 +114,6 @@ def simulate(
     >>> result.status is cg.Status.COMPLETED
     True
     """
-    if record is not None:
-        require_all(record, str, "record", "a string, component.variable")
     experiment = Experiment(
         stop_time=stop_time,
         record=None if record is None else tuple(record),
@@ -183,7 +183,6 @@ def perform(
     folder = os.getcwd()
     given = output if output is not None else experiment.output or Output()
     outputs = (given,) if isinstance(given, Output) else given
-    require_all(outputs, Output, "output", "an Output")
     if not outputs or any(further.sink is None for further in outputs[1:]):
         raise InvalidInput("of several outputs, all but the first need a sink")
     require_resolved_periods(experiment, outputs)

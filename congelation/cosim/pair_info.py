@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from congelation.arguments import checked
 from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
@@ -125,6 +126,7 @@ class Info:
         return "\n\n".join(parts if self.pair is None else [*parts, str(self.pair)])
 
 
+@checked
 def info(*fmus: Path | str, stop_time: float | None = None) -> Info:
     """Say what an FMU is; of a pair, which communication steps it can take with held inputs.
 

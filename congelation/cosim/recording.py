@@ -11,16 +11,16 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import takewhile
-from numbers import Real
 
 import numpy as np
 import numpy.typing as npt
 
+from congelation.arguments import check_fields
 from congelation.cosim.coupling.polynomial import differentiation, interpolation, product
 from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.sinks import Recorder, Sink
 from congelation.cosim.system import Recorded
-from congelation.errors import InvalidInput, require, require_count
+from congelation.errors import InvalidInput, require_count
 
 __all__ = [
     "NODES",
@@ -81,9 +81,8 @@ class Output:
     sink: Sink | None = None
 
     def __post_init__(self) -> None:
+        check_fields(self)
         require_count(self.every, "every")
-        if self.interval is not None:
-            require(self.interval, Real, "interval", "a number of seconds")
         if self.interval is not None and self.every != 1:
             raise InvalidInput("every and interval: give one of the two")
 

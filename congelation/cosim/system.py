@@ -6,13 +6,13 @@ descriptions alone, so a mistake is found before anything runs.
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from congelation.errors import InvalidInput, counted, nearest, require, require_all
+from congelation.arguments import check_fields
+from congelation.errors import InvalidInput, counted, nearest
 from congelation.fmi.description import Description, Variable, describe
 from congelation.fmi.start_values import StartValue, resolve_start
 from congelation.fmi.units import Conversion, conversion
@@ -58,12 +58,7 @@ class Component:
     start: Mapping[str, object] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        require(self.name, str, "Component.name", "a string")
-        require(self.fmu, (str, os.PathLike), f"component '{self.name}': fmu", "a path")
-        require(self.start, Mapping, f"component '{self.name}': start", "values by name")
-        if not {str}.issuperset(map(type, self.start)):  # a study makes a component for each run
-            for name in self.start:
-                require(name, str, f"component '{self.name}': a name in start", "a string")
+        check_fields(self)
 
 
 @dataclass(frozen=True)
@@ -83,8 +78,7 @@ class Connection:
     target: str
 
     def __post_init__(self) -> None:
-        require(self.source, str, "Connection.source", "a string, component.variable")
-        require(self.target, str, "Connection.target", "a string, component.variable")
+        check_fields(self)
 
     @classmethod
     def parse(cls, text: str) -> Connection:
@@ -224,7 +218,6 @@ class ResolvedSystem:
         InvalidInput
             A name that does not exist.
         """
-        require_all(names, str, key, "a string, component.variable")
         found: dict[str, Recorded] = {}
         for name in names:
             what = f"{key} '{name}'"
@@ -238,6 +231,12 @@ class ResolvedSystem:
 @dataclass(frozen=True)
 class System:
     """Components and the connections between them.
+
+    Parameters
+    ----------
+    components : tuple of Component
+    connections : tuple of Connection
+        Or texts such as ``"plant.x -> controller.x"``.
 
     Examples
     --------
@@ -259,13 +258,10 @@ class System:
     connections: tuple[Connection, ...] = ()
 
     def __post_init__(self) -> None:
-        require_all(self.components, Component, "System.components", "a Component")
-        require_all(
-            self.connections,
-            Connection,
-            "System.connections",
-            "a Connection, such as Connection.parse('plant.x -> controller.x')",
-        )
+        if isinstance(self.connections, list | tuple):  # each of which may be a text
+            parsed = (Connection.parse(c) if isinstance(c, str) else c for c in self.connections)
+            object.__setattr__(self, "connections", tuple(parsed))
+        check_fields(self)
 
     def resolve(self, *, held: bool = False) -> ResolvedSystem:
         """Find every name.
@@ -405,7 +401,11 @@ def _pairs(
     by_index = {variable.name[len(input_name) :]: variable for variable in inputs}
     if sorted(by_index) != sorted(variable.name[len(output_name) :] for variable in outputs):
         given, wanted = counted(len(outputs), "output"), counted(len(inputs), "input")
-        raise InvalidInput(f"{place}: {given} for {wanted}; the indices must agree")
+        remedy = "the indices must agree"
+        if input_name == "yr":
+            remedy += "; a law of order n takes the reference and its derivatives up to the n-th: "
+            remedy += "build a reference of that n (docs/theory.md, 'Tracking')"
+        raise InvalidInput(f"{place}: {given} for {wanted}; {remedy}")
     return [(variable, by_index[variable.name[len(output_name) :]]) for variable in outputs]
 
 

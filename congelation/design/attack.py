@@ -14,8 +14,8 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
 from dataclasses import dataclass
 from functools import partial
-from numbers import Real
 
+from congelation.arguments import checked
 from congelation.design.attack_problem import Problem, problem_of
 from congelation.design.derivative_free import maximise
 from congelation.design.finds import (
@@ -31,7 +31,7 @@ from congelation.design.late_strike import SETTLED, strikes
 from congelation.design.search import Search
 from congelation.design.search_pool import SearchPool
 from congelation.design.shooting import Cells, Path, Shooting
-from congelation.errors import InvalidInput, nearest, require, require_all, require_count
+from congelation.errors import InvalidInput, nearest, require_count
 from congelation.scenario.load import load_scenario
 from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import MetricSpec, Scenario
@@ -50,6 +50,7 @@ _GRADIENT = {"peak": True, "integral_of_square": False, "ise": False}
 """The metrics that the search has gradients of, and whether they are peaks."""
 
 
+@checked
 def attack(
     scenario: Scenario | pathlib.Path | str,
     *,
@@ -129,14 +130,10 @@ def attack(
 
 def _check_search(objectives: Sequence[str], variants: Sequence[str] | None, effort: float) -> None:
     """Refuse a search of nothing, or without end."""
-    require_all(objectives, str, "objectives", "a string")
     if not objectives:
         raise InvalidInput("objectives is empty; name what is to be maximised")
-    if variants is not None:
-        require_all(variants, str, "variants", "a string")
-        if not variants:
-            raise InvalidInput("variants is empty; leave it out for all")
-    require(effort, Real, "effort", "a positive number")
+    if variants is not None and not variants:
+        raise InvalidInput("variants is empty; leave it out for all")
     if not 0.0 < effort < math.inf:
         raise InvalidInput(f"effort = {effort} is not valid; give a positive number")
 

@@ -21,15 +21,15 @@ import tomllib
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from numbers import Real
 from pathlib import Path
 
 import numpy as np
 import tomli_w
 from numpy.typing import NDArray
 
+from congelation.arguments import checked
 from congelation.design.tuning_candidates import OBJECTIVES, Candidates, Evaluator
-from congelation.errors import InvalidInput, require, require_count
+from congelation.errors import InvalidInput, require_count
 from congelation.export.assumptions import spec_assumptions
 from congelation.signals import box_radius
 from congelation.verify.certify import Design, certify_design
@@ -121,6 +121,7 @@ class Tuning:
         return tuple(lines)
 
 
+@checked
 def tune(
     spec: Path | str,
     *,
@@ -131,7 +132,7 @@ def tune(
     seed: int = 0,
     proposals: int = 6,
     workers: int = 1,
-    out: Path | None = None,
+    out: Path | str | None = None,
     resume: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Tuning:
@@ -176,7 +177,6 @@ def tune(
     """
     require_count(evaluations, "evaluations")
     require_count(workers, "workers")
-    require(stop_time, Real, "stop_time", "a positive number of seconds")
     if not 0.0 < stop_time < math.inf:
         raise InvalidInput(f"stop_time = {stop_time} is not valid; give a positive time in seconds")
     spec = Path(spec)
@@ -185,7 +185,7 @@ def tune(
     # A design that does not settle is asked to do so by the stop time.
     asked = (min(own[0], stop_time), *own[1:])
     wanted = _wishes(wishes, asked)
-    with Candidates(evaluator, workers, out, resume) as candidates:
+    with Candidates(evaluator, workers, None if out is None else Path(out), resume) as candidates:
 
         def count() -> None:
             if progress is not None:

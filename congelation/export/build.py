@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import importlib.metadata
 import json
-import os
 import re
 import sys
 import tempfile
@@ -19,7 +18,8 @@ from xml.etree import ElementTree
 
 from pythonfmu.builder import FmuBuilder, get_model_description
 
-from congelation.errors import CongelationError, DesignWarning, InvalidInput, require
+from congelation.arguments import checked
+from congelation.errors import CongelationError, DesignWarning, InvalidInput
 from congelation.export.assumptions import spec_warnings
 from congelation.export.embedded_c import controller_code
 from congelation.export.model_description import complete
@@ -47,6 +47,7 @@ _IMPORT = re.compile(r"^from pythonfmu\.", re.MULTILINE)
 _TOOLS = ("congelation", "casadi", "pythonfmu", "fmpy")
 
 
+@checked
 def build(
     *specs: Spec | BlockSpec | Path | str,
     out: Path | str = "fmus",
@@ -109,8 +110,6 @@ def build(
     folder = Path(out) / ("native" if native else "c" if c_code else "")
     if not specs:
         raise InvalidInput("no spec is given; name one or more, such as specs/f16_pitch.toml")
-    for spec in specs:
-        require(spec, (Spec, BlockSpec, str, os.PathLike), "spec", "a spec, or the path of one")
     check_folder("--out", folder)
     groups = _groups(chosen, folder) if native else {folder: ()}
     read = [

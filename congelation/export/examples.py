@@ -7,6 +7,7 @@ import re
 from pathlib import Path
 from typing import Any
 
+from congelation.arguments import checked
 from congelation.errors import InvalidInput
 from congelation.export.transfer import marks, transfer_function
 from congelation.places import check_folder, shipped
@@ -14,6 +15,7 @@ from congelation.places import check_folder, shipped
 __all__ = ["copy_examples", "write_starter"]
 
 
+@checked
 def copy_examples(folder: Path | str) -> list[Path]:
     """Copy the shipped specs and scenarios, with their tables, into folders of `folder`.
 
@@ -51,6 +53,7 @@ def copy_examples(folder: Path | str) -> list[Path]:
     return list(texts)
 
 
+@checked
 def write_starter(
     name: str, folder: Path | str = ".", source: Any = None, spread: float = 0.0
 ) -> Path:

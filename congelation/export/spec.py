@@ -71,7 +71,7 @@ from typing import Literal
 import numpy as np
 
 from congelation import keys
-from congelation.errors import InvalidInput, amount, shown
+from congelation.errors import InfeasibleDesign, InvalidInput, amount, shown
 from congelation.export.equations import Special
 from congelation.export.forms import BLOCKS, FORMS, BlockForm, Form, Structure
 from congelation.export.interface import ProfileSlots, profiled_names
@@ -369,7 +369,15 @@ def _check_defaults(
         If a value is outside its domain, a gain does not exist, or the rates and outputs at the
         start are not finite; the text names the values without which they are.
     """
-    lost = _not_finite(model.with_defaults(given), special)
+    try:
+        lost = _not_finite(model.with_defaults(given), special)
+    except InfeasibleDesign as error:
+        # r = 3 is a default: its user has to know that there is such a parameter.
+        if str(error).partition(" = ")[0] in {p.variables.name for p in model.parameters} - {
+            *given
+        }:
+            raise InfeasibleDesign(f"it is left out, and so {error}") from None
+        raise
     if not lost:
         return
     culprits = [name for name in given if _mends(model, given, name, special)] or list(given)

@@ -63,11 +63,16 @@ def resolve_start(
             for (name, value), (given, known) in zip(start.items(), kept, strict=True)
         )
     found: dict[str, StartValue] = {}
+    by: dict[str, str] = {}
     for name, value in start.items():
         here = f"{place}, start value '{name}'"
         for variable, scalar in _scalars(description, name, value, here):
             if variable.name in found:
-                raise InvalidInput(f"{here}: '{variable.name}' is given twice")
+                raise InvalidInput(
+                    f"{here}: '{variable.name}' is given by '{by[variable.name]}' as well; leave "
+                    "one of them out"
+                )
+            by[variable.name] = name
             found[variable.name] = StartValue(variable, _typed(variable, scalar, here))
     if _SCALARS.issuperset(map(type, start.values())):
         while len(_KEPT) >= KEPT_STARTS:

@@ -11,7 +11,7 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, counted
 from congelation.places import replace_whole
 from congelation.report.axes import axes_of
 from congelation.report.page_shell import Drawn, lines_of, opening, page, table
@@ -172,7 +172,7 @@ def write_comparison(directories: Sequence[Results], file: Path) -> tuple[Compar
     Raises
     ------
     InvalidInput
-        If a directory holds no results, or is given twice.
+        If a directory holds no results, is given twice, or shares no run with the first.
     CongelationError
         If the file cannot be written.
     """
@@ -182,6 +182,14 @@ def write_comparison(directories: Sequence[Results], file: Path) -> tuple[Compar
         compare((names[0], name), (studies[0], study))
         for name, study in zip(names[1:], studies[1:], strict=True)
     )
+    for comparison in found:
+        if not comparison.pairs:
+            first, name = comparison.names
+            sizes = [counted(len(study.records), "run") for study in comparison.studies]
+            raise InvalidInput(
+                f"{first} ({sizes[0]}) and {name} ({sizes[1]}) have no run in common, of the same "
+                "variant and settings; give directories of the same study"
+            )
     title = f"Comparison of {listed(names)}"
     sentences = [sentence for comparison in found for sentence in verdict(comparison)]
     pieces: list[str | Drawn] = [*opening(title, sentences)]
@@ -218,8 +226,6 @@ def verdict(comparison: Comparison) -> Iterator[str]:
             f"{after} against {before}: {runs} can be compared; {len(comparison.alone)} have no "
             "counterpart, or more than one."
         )
-    if not count:
-        return
     other = [pair for pair in pairs if pair.before.status != pair.after.status]
     if 0 < len(other) <= 3:
         ends = [f"{p.label} was {p.before.status} and is {p.after.status}" for p in other]

@@ -22,6 +22,7 @@ __all__ = [
     "short",
     "summarise",
     "summarise_groups",
+    "without_effect",
 ]
 
 
@@ -85,7 +86,7 @@ def _columns(study: Study, asked: str) -> list[str]:
     spelled: dict[str, list[str]] = {}
     for column in study.about["varied"]:
         spelling = study.about.get("spelled", {}).get(column, column)
-        for each in {column, spelling, _NUMBER.sub("", spelling)}:
+        for each in dict.fromkeys((column, spelling, _NUMBER.sub("", spelling))):
             spelled.setdefault(each, []).append(column)
     found = spelled.get(name, [])
     if len(found) > 1:
@@ -112,6 +113,26 @@ def _spread(values: Sequence[float | None]) -> str:
     """The median and, in brackets, the outer quantiles."""
     low, median, high = (_quantile(values, q) for q in _QUANTILES.values())
     return median if low == high else f"{median} [{low}, {high}]"
+
+
+def without_effect(study: Study) -> Iterator[str]:
+    """The settings, and `replicate`, of which all values give the same metrics to the last bit."""
+    runs = [run for run in study.records if run.status == "COMPLETED"]
+    if not study.about["metrics"]:
+        return
+    for name in (*study.about["varied"], "replicate"):
+        groups: dict[tuple[object, ...], list[tuple[object, tuple[float | None, ...]]]] = {}
+        for run in runs:
+            settings = {**run.settings, "replicate": run.replicate}
+            value = settings.pop(name, None)
+            if name == "replicate":  # which differ in their seeds as well
+                settings = {k: v for k, v in settings.items() if not k.endswith("seed")}
+            groups.setdefault((run.variant, *settings.values()), []).append(
+                (value, tuple(run.metrics.values()))
+            )
+        varied = [found for found in groups.values() if len({value for value, _ in found}) > 1]
+        if varied and all(len({metrics for _, metrics in found}) == 1 for found in varied):
+            yield name
 
 
 def summarise(study: Study) -> Summary:

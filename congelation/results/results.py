@@ -6,16 +6,18 @@ import html
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from numbers import Integral
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import numpy.typing as npt
 
-from congelation.errors import InvalidInput, counted, nearest
+from congelation.arguments import checked
+from congelation.errors import InvalidInput, counted, nearest, shown
 from congelation.results.print_figures import WIDTH, draw, draw_panels
 from congelation.results.record import GROUPS, RunRecord, Study, Trajectory
-from congelation.results.store import Store
+from congelation.results.store import ENDED, Store
 
 if TYPE_CHECKING:  # extras, or slow to import
     import pandas
@@ -71,7 +73,9 @@ class Runs(Sequence[RunRecord]):
             yield {name: row[name] for name in names}
 
     def __len__(self) -> int:
-        return self._store.count(self._study)
+        # Not `count`, to which a directory that is gone has no runs.
+        ((count,),) = self._store.query("SELECT count(*) FROM runs {where}", self._study)
+        return int(count)
 
     def __iter__(self) -> Iterator[RunRecord]:
         return map(RunRecord.of, self.rows())
@@ -87,6 +91,10 @@ class Runs(Sequence[RunRecord]):
             return list(self)[key]
         if isinstance(key, str):
             return self._column(key)
+        if not isinstance(key, Integral):
+            raise InvalidInput(
+                f"runs[{shown(key)}]: give a number, a slice or the name of a column"
+            )
         place = key + len(self) if key < 0 else key
         for number, record in enumerate(self):
             if number == place:
@@ -175,17 +183,29 @@ class Results:
             If this is no result directory.
         """
         newest = self._study or self.store.newest()
-        return Study(tuple(Runs(self.store, newest)), self.store.about(newest))
+        about = self.store.about(newest)
+        if "swept" not in about:
+            raise InvalidInput(f"{self.store.database} says nothing of its study; it is damaged")
+        return Study(tuple(Runs(self.store, newest)), about)
 
-    def trajectory(self, run_id: str) -> Trajectory:
-        """The trajectory of the run whose run_id begins so.
+    def lost_trajectories(self) -> list[str]:
+        """Run_ids of completed runs whose trajectory is gone; of a sweep, if it has others."""
+        study = self.study()
+        ended = [run.run_id for run in study.records if run.status in ENDED]
+        lost = self.store.without_trajectory(ended)
+        return [] if study.about["swept"] and len(lost) == len(ended) else lost
+
+    @checked
+    def trajectory(self, run_id: str | RunRecord) -> Trajectory:
+        """The trajectory of a run, or of that whose run_id begins so.
 
         Raises
         ------
         InvalidInput
             If there is no such run, or it has no trajectory.
         """
-        return self.store.trajectory(self.store.find(run_id))
+        name = run_id if isinstance(run_id, str) else run_id.run_id
+        return self.store.trajectory(self.store.find(name))
 
     def to_pandas(self) -> pandas.DataFrame:
         """The runs as a pandas data frame, a row per run.
@@ -211,6 +231,7 @@ class Results:
             return ()
         return tuple(str(figure["name"]) for figure in study.about["figures"])
 
+    @checked
     def plot(self, name: str | None = None, width: float = WIDTH) -> Figure:
         """A figure of the newest study, as Matplotlib's object.
 
@@ -243,7 +264,9 @@ class Results:
         return draw(study, runs, name, width)
 
     def __repr__(self) -> str:
-        title = self.about.get("title", "") if self.store.database.is_file() else ""
+        if not self.store.database.is_file():
+            return f"Results: {self.folder} is no result directory"
+        title = self.about.get("title", "")
         more = len(self.runs) - SHOWN
         lines = [f"{title or 'Results'}: {counted(len(self.runs), 'run')} in {self.folder}"]
         if len(self.runs):
@@ -256,6 +279,7 @@ class Results:
         return f"<p>{html.escape(text)}</p>{self.runs._repr_html_()}"
 
 
+@checked
 def open_results(folder: Path | str) -> Results:
     """Open the directory that `run` or `sweep` wrote.
 

@@ -26,6 +26,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from congelation.cosim.result import Status
 from congelation.errors import InvalidInput, nearest
 from congelation.places import StoreError, check_folder, replace_whole
 from congelation.results import tables
@@ -35,6 +36,9 @@ from congelation.results.trajectory_file import read_trajectory
 
 METADATA = b"congelation"
 """Key of Parquet metadata with the description of the study."""
+
+ENDED = (Status.COMPLETED.name, Status.TERMINATED.name)
+"""How runs end that have a trajectory, if trajectories are kept."""
 
 BUSY = 60.0
 """Seconds to wait for another process that writes into the same directory."""
@@ -152,7 +156,12 @@ class Store:
     # -- plans --------------------------------------------------------------------------------
 
     def plan(
-        self, plan: str, runs: Iterable[tuple[int, str]], again: Collection[str] | None = ()
+        self,
+        plan: str,
+        runs: Iterable[tuple[int, str]],
+        again: Collection[str] | None = (),
+        *,
+        trajectories: bool = False,
     ) -> Comparison:
         """Compare a plan with what is finished.
 
@@ -165,6 +174,8 @@ class Store:
             stored: to compute a million run_ids takes most of a minute.
         again : collection of str, optional
             Runs that ended with such a status are missing; None: all of them are.
+        trajectories : bool
+            Whether completed runs without a trajectory are missing, too.
         """
         connection = self._connection or self._planner()
         with self._errors():
@@ -180,11 +191,13 @@ class Store:
             while batch := rows.fetchmany(tables.ROWS_AT_ONCE):
                 total += len(batch)
                 places = known.places([run_id for run_id, _, _ in batch])
-                for place, (_, status, version) in zip(places.tolist(), batch, strict=True):
+                kept = [run_id for run_id, status, _ in batch if trajectories and status in ENDED]
+                lost = set(self.without_trajectory(kept)) if kept else set()
+                for place, (run_id, status, version) in zip(places.tolist(), batch, strict=True):
                     if place >= 0:
                         finished += 1
                         versions.add(version)
-                        missing[place] = again is None or status in again
+                        missing[place] = again is None or status in again or run_id in lost
         numbers = array("q", np.sort(known.numbers[missing].astype(np.int64)).tobytes())
         return Comparison(len(known), numbers, total - finished, tuple(sorted(versions)))
 
@@ -237,12 +250,25 @@ class Store:
     def about(self, study: str | None = None) -> Mapping[str, Any]:
         """The description of a study, by default of the newest one; empty where there is none."""
         found = self.query("SELECT about FROM studies {where} ORDER BY used DESC LIMIT 1", study)
-        return cast(Mapping[str, Any], json.loads(found[0][0])) if found else {}
+        if not found:
+            return {}
+        try:
+            return cast(Mapping[str, Any], json.loads(found[0][0]))
+        except ValueError as error:
+            raise InvalidInput(
+                f"{self.database} cannot be read: what it says of a study is damaged ({error})"
+            ) from error
 
     def newest(self) -> str | None:
         """The study that this directory was last used for."""
         found = self.query("SELECT study FROM studies ORDER BY used DESC LIMIT 1")
         return found[0][0] if found else None
+
+    def without_trajectory(self, run_ids: Iterable[str]) -> list[str]:
+        """Those of the runs whose trajectory is not in the directory."""
+        folder = self.trajectory_file("").parent
+        there = {file.stem for file in folder.iterdir()} if folder.is_dir() else set()
+        return [run_id for run_id in run_ids if run_id not in there]
 
     def find(self, run_id: str) -> str:
         """The whole run_id of the finished run whose run_id begins with `run_id`.

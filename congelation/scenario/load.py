@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from congelation.errors import InvalidInput, require
+from congelation.arguments import checked
+from congelation.errors import InvalidInput
 from congelation.scenario.parts import EXPERIMENT, replaced
 from congelation.scenario.scenario import Scenario
 from congelation.scenario.ssp.read import read_ssp
@@ -16,6 +16,7 @@ from congelation.toml import read_document
 __all__ = ["load_scenario"]
 
 
+@checked
 def load_scenario(file: Path | str, experiment: Mapping[str, object] | None = None) -> Scenario:
     """Read a scenario: a TOML file, or an SSP archive (.ssp).
 
@@ -37,8 +38,6 @@ def load_scenario(file: Path | str, experiment: Mapping[str, object] | None = No
     >>> cg.load_scenario("scenarios/fig2.toml").title
     'Fig. 2: state feedback'
     """
-    require(file, (str, os.PathLike), "file", "the path of a scenario")
-    require(experiment or {}, Mapping, "experiment", "values by key")
     path, given = Path(file), dict(experiment or {})
     if path.suffix == ".ssp":
         return _unless_variants_differ(read_ssp(path, given), given)

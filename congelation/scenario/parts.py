@@ -6,7 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from congelation.cosim.experiment import Experiment
+from congelation.arguments import check_fields
+from congelation.cosim.experiment import Experiment, refuse_too_many_rows
 from congelation.cosim.system import System
 from congelation.errors import InvalidInput
 
@@ -42,10 +43,6 @@ def replaced(table: Mapping[str, Any], given: Mapping[str, object]) -> dict[str,
     return {key: value for key, value in table.items() if key not in gone} | dict(given)
 
 
-MOST_ROWS = 1e8
-"""Rows of a run: each takes 8 bytes a column."""
-
-
 def agreed(values: Mapping[str, Any], place: Callable[[str], str]) -> Experiment:
     """The experiment, after checking that its keys agree with each other.
 
@@ -71,12 +68,8 @@ def agreed(values: Mapping[str, Any], place: Callable[[str], str]) -> Experiment
         raise InvalidInput(f"{place('step')} is missing; give a time in seconds, or a tolerance")
     if values["output_every"] is not None and values["output_interval"] is not None:
         raise InvalidInput(f"{place('output_every')} and output_interval exclude each other")
-    interval = values["output_interval"]
-    if interval is not None and (stop - start) / interval > MOST_ROWS:
-        raise InvalidInput(
-            f"{place('output_interval')} = {interval:g} asks for {(stop - start) / interval:.3g} "
-            f"rows of a run; give {(stop - start) / MOST_ROWS:g} or more"
-        )
+    if values["output_interval"] is not None:
+        refuse_too_many_rows(place("output_interval"), values["output_interval"], stop - start)
     try:
         experiment = Experiment(**values)
     except InvalidInput as error:
@@ -115,6 +108,9 @@ class MetricSpec:
     of: str = ""
     options: Mapping[str, float] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        check_fields(self)
+
 
 @dataclass(frozen=True)
 class FigureSpec:
@@ -129,6 +125,9 @@ class FigureSpec:
     span: tuple[float, float] | None = None
     scale: str = "auto"
     legend: bool = True
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     @property
     def variables(self) -> tuple[str, ...]:
@@ -151,6 +150,9 @@ class Variant:
 
     name: str
     settings: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True)

@@ -50,8 +50,6 @@ def read_sweep(section: Section, reader: SettingsReader, variants: Mapping[str, 
                         "there, or name the variants that the axis is of: variants = [..]",
                     )
         given = axis.value(keys.AXIS["set"])
-        if twice := [name for name in given if given.count(name) > 1]:
-            raise axis.error("set", f"sets '{twice[0]}' twice; leave one of them out")
         if len(given) == len(names):
             spelled |= dict(zip(given, names, strict=True))
         if isinstance(found, RandomAxis):
@@ -175,6 +173,8 @@ def _list(
 ) -> tuple[Settings, ...]:
     """One entry per value; with several names, each value holds one for each of them."""
     together = isinstance(section.data["set"], list)
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise section.error("set", f"sets '{twice}' twice; leave one of them out")
     entries = []
     for index, value in enumerate(values, start=1):
         row = value if together else [value]
@@ -186,6 +186,8 @@ def _list(
         entries.append(
             reader.read(replace(section, path=at, data=dict(zip(names, row, strict=True))))
         )
+    if any(len(entry) < len(names) for entry in entries):
+        raise section.error("set", "names one variable in two ways; leave one of them out")
     if any(entry.keys() != entries[0].keys() for entry in entries):
         raise section.error("values", "do not all set the same variables")
     return tuple(entries)

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 
 from congelation import keys
+from congelation.arguments import check_fields
 from congelation.cosim.system import System
-from congelation.errors import InvalidInput, counted, require, require_all, shown
+from congelation.errors import InvalidInput, counted, shown
 from congelation.scenario.axes import Sweep
 from congelation.scenario.parts import (
     EXPERIMENT,
@@ -110,17 +111,10 @@ class Scenario:
     warnings: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
-        require(self.title, str, "Scenario: title", "a string")
-        require(self.system, System, "Scenario: system", "a System")
-        require(self.experiment, Experiment, "Scenario: experiment", "an Experiment")
-        require_all(self.variants, Variant, "Scenario: variants", "a Variant")
-        require_all(self.metrics, MetricSpec, "Scenario: metrics", "a MetricSpec")
-        require_all(self.figures, FigureSpec, "Scenario: figures", "a FigureSpec")
-        require(self.sweep, (Sweep, type(None)), "Scenario: sweep", "a Sweep, or None")
-        require_all(self.open, str, "Scenario: open", "a string, component.variable")
+        check_fields(self)
         names = [metric.name for metric in self.metrics]
-        if twice := [name for name in names if names.count(name) > 1]:
-            raise InvalidInput(f"Scenario: metrics: '{twice[0]}' is given twice; names must differ")
+        if twice := next((name for name in names if names.count(name) > 1), None):
+            raise InvalidInput(f"Scenario: metric '{twice}' is given twice; names must differ")
         lists = len(self.sweep.lists) if self.sweep is not None else 0
         spelled = partial(_python_place, lists=lists)
         self._fill(read_scenario(Section("Scenario", "", self.document(), spelled=spelled), "run"))
@@ -179,7 +173,8 @@ class Scenario:
         return "Scenario" if self.file is None else str(self.file)
 
     def case(self, settings: Mapping[str, Scalar]) -> Case:
-        """This scenario with settings applied, which are those of variants and points of a sweep.
+        """This scenario with settings applied, which are those of variants and points of a sweep:
+        one for each scalar variable, as `variants` of a scenario has them.
 
         Raises
         ------

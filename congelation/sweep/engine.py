@@ -9,7 +9,6 @@ missing.
 from __future__ import annotations
 
 import itertools
-import os
 import time
 import warnings
 from collections import Counter, deque
@@ -18,7 +17,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from congelation.errors import DesignWarning, InvalidInput, require
+from congelation.arguments import checked
+from congelation.errors import DesignWarning, InvalidInput
 from congelation.places import StoreError
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
@@ -75,6 +75,7 @@ Listener = Callable[[Tally], None]
 """Called whenever some runs are done or have gone on."""
 
 
+@checked
 def run(
     scenario: Scenario | Path | str,
     *,
@@ -125,6 +126,7 @@ def run(
     >>> [run.variant for run in results.runs]
     ['Controller 1', 'Controller 2']
     """
+    place = Local(workers)
     found = read(scenario)
     _warn(found)
     plan = plan_study(
@@ -135,9 +137,10 @@ def run(
         trust=trust,
         timeout=timeout,
     )
-    return carry_out(plan, Local(workers), progress or notebook_progress())
+    return carry_out(plan, place, progress or notebook_progress())
 
 
+@checked
 def sweep(
     scenario: Scenario | Path | str,
     *,
@@ -187,6 +190,7 @@ def sweep(
     >>> len(cg.sweep(starter / "scenario.toml", out=folder / "swept").runs)
     12
     """
+    place = Local(workers) if scheduler is None else Cluster(scheduler, ship=ship)
     found = read(scenario)
     _warn(found)
     plan = plan_study(
@@ -198,13 +202,11 @@ def sweep(
         verify=verify,
         timeout=timeout,
     )
-    place = Local(workers) if scheduler is None else Cluster(scheduler, ship=ship)
     return carry_out(plan, place, progress or notebook_progress())
 
 
 def read(scenario: Scenario | Path | str) -> Scenario:
     """A scenario, or the one that a file describes."""
-    require(scenario, (Scenario, str, os.PathLike), "scenario", "a Scenario, or the path of one")
     return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
 
 
@@ -219,9 +221,8 @@ def _warn(scenario: Scenario) -> None:
 def result_folder(scenario: Scenario, out: Path | str | None) -> Path:
     """Where results go."""
     if out is not None:
-        require(out, (str, os.PathLike), "out", "a path")
-        if not os.fspath(out):
-            raise InvalidInput("out is empty; give the path of a folder")
+        if not str(out):
+            raise InvalidInput("out = '' names no folder; give one, '.' being this one")
         return Path(out)
     if scenario.file is None:
         raise InvalidInput("a scenario without a file has no folder for its results; give out")

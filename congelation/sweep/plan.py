@@ -15,13 +15,12 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
 from importlib.metadata import version
-from numbers import Real
 from pathlib import Path
 from typing import Any, cast
 
 from congelation.cosim.coupling import Auto, refuse_tolerance
 from congelation.cosim.result import Status
-from congelation.errors import InvalidInput, counted, require
+from congelation.errors import InvalidInput, counted
 from congelation.fmi.description import describe
 from congelation.results.identity import (
     ID_LENGTH,
@@ -159,12 +158,8 @@ def plan_study(
     for status in retry:
         if status not in FAILURES:
             raise InvalidInput(f"'{status}' is no status to retry; valid: {', '.join(FAILURES)}")
-    if timeout is not None:
-        require(timeout, Real, "timeout", "a number of seconds")
-        if not 0.0 < timeout < math.inf:
-            raise InvalidInput(
-                f"timeout = {timeout} is not valid; give a positive number of seconds"
-            )
+    if timeout is not None and not 0.0 < timeout < math.inf:
+        raise InvalidInput(f"timeout = {timeout} is not valid; give a positive number of seconds")
     if swept and scenario.sweep is None:
         raise InvalidInput(f"{scenario.place}: no [sweep]; give its axes, or use: congelation run")
     store = Store(folder)
@@ -180,6 +175,7 @@ def plan_study(
             for number, (variant, settings, _) in _Runs(scenario, swept).checked()
         ),
         retry if swept else None,
+        trajectories=_sweep(scenario).trajectories,
     )
     if found.total == 0:
         raise InvalidInput(f"{scenario.place}: sweep.constraints leave no point")

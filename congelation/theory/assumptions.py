@@ -124,6 +124,7 @@ def remarks_on(
     """
     first = 0 if degree is None else degree + 1
     p = len(theta.low) - varying_gain
+    section = "The idea" if degree is None else "Output feedback"
     found = [
         *_without_profile(theta, place),
         *_not_known(theta, place),
@@ -134,6 +135,7 @@ def remarks_on(
             "theta(t)" if constants is None else "theta_u(t) = theta(t) - Upsilon(t) vartheta",
             place,
             stated,
+            section,
         ),
         *_sets(values, theta, first, p, place, constants),
     ]
@@ -146,7 +148,7 @@ def remarks_on(
     if degree is not None:
         a_1 = float(theta.radii[first])
         of = f"a_(n-1)(t) = theta[{first + 1}]"
-        found += [*_radius(values, "delta_1", a_1, of, place, stated)]
+        found += [*_radius(values, "delta_1", a_1, of, place, stated, section)]
         found += [*_numerator(values, theta, first, place)]
     return tuple(sorted(found, key=lambda remark: not remark.broken))
 
@@ -187,8 +189,9 @@ def _radius(
     of: str,
     place: Callable[[str], str],
     stated: Collection[str] | None,
+    section: str,
 ) -> Iterator[Remark]:
-    """Assumption 1, or 2: delta against the radius of what varies."""
+    """Assumption 1, or 2: delta, which `section` explains, against the radius of what varies."""
     if name not in values:  # the law does not ask for it
         return
     given = float(np.asarray(values[name], float).item())
@@ -200,10 +203,13 @@ def _radius(
     compared = "is less than" if outside else "covers"
     side = "box" if name == "delta" else "interval"
     remedy = f"give {name} = {radius:.6g}"
+    remedy += ", or narrow the profile" if outside else ", or more"
+    if left_out:
+        remedy += f" (docs/theory.md, '{section}')"
     yield Remark(
         place(name),
         f"{given_as} {compared} {radius:.6g}, the radius of the {side} that {of} fills",
-        f"{remedy}, or narrow the profile" if outside else f"{remedy}, or more",
+        remedy,
         broken=outside,
     )
 

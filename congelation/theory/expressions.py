@@ -51,12 +51,16 @@ def parse(text: str, x: ca.SX, known: int) -> ca.SX:
         If it is no formula, or holds an unknown name or a function that is not smooth.
     """
     named = {f"x[{j}]": x[j - 1] for j in range(1, known + 1)}
-    return _parse(_Formula(text, named, f"x[1] .. x[{known}]", "x[1]*sin(x[2])", "x[1]"))
+    return _parse(
+        _Formula(
+            text, named, f"x[1] .. x[{known}]", "x[1]*sin(x[2])", "x[1]", "Nonlinear regressors"
+        )
+    )
 
 
 def parse_of_time(text: str, t: ca.SX) -> ca.SX:
     """A formula as an expression in the time t, such as ``cos(2*t)``; see `parse`."""
-    return _parse(_Formula(text, {"t": t}, "t", "cos(2*t)", "t"))
+    return _parse(_Formula(text, {"t": t}, "t", "cos(2*t)", "t", "Structured variations"))
 
 
 @dataclass(frozen=True)
@@ -68,18 +72,20 @@ class _Formula:
     valid: str
     example: str
     variable: str
+    section: str
 
 
 def _parse(formula: _Formula) -> ca.SX:
     text = formula.text
-    if len(text) > LONGEST:
-        raise InvalidInput(f"a formula of {len(text)} characters; valid: {LONGEST} at most")
     try:
+        if len(text) > LONGEST:
+            raise InvalidInput(f"a formula of {len(text)} characters; valid: {LONGEST} at most")
         return _expression(ast.parse(text.strip(), mode="eval").body, formula)
     except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        what = f"'{text}' is no formula; write one such as {formula.example}"
         if isinstance(error, InvalidInput):
-            raise
-        raise InvalidInput(f"'{text}' is no formula; write one such as {formula.example}") from None
+            what = str(error)
+        raise InvalidInput(f"{what} (docs/theory.md, '{formula.section}')") from None
 
 
 def _expression(node: ast.expr, formula: _Formula) -> ca.SX:

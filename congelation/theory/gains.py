@@ -205,7 +205,8 @@ def _filter_gain(r: float, Q: Matrix, given: str) -> Matrix:
         n = Q.shape[0]
         raise InfeasibleDesign(
             f"r = {r:.9g} is infeasible with {given}, n = {n}: (43) has no solution X > 0; "
-            f"the smallest feasible r is {_rounded_up(smallest_feasible_r(n, Q)):.6g}"
+            f"the smallest feasible r is {_rounded_up(smallest_feasible_r(n, Q)):.6g} "
+            "(docs/theory.md, 'The ISS K-filter')"
         )
     return X[:, 0] / 2
 

@@ -13,12 +13,12 @@ import math
 import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from numbers import Integral, Real
 from pathlib import Path
 
 import numpy as np
 
-from congelation.errors import InvalidInput, counted, require, require_count
+from congelation.arguments import checked
+from congelation.errors import InvalidInput, counted, require_count
 from congelation.export.assumptions import HORIZON, spec_assumptions, structured
 from congelation.export.spec import Spec, read_spec
 from congelation.scenario.load import load_scenario
@@ -173,6 +173,7 @@ def certificate_of(loop: ClosedLoop) -> Certificate:
     return _CERTIFICATES[name](loop)
 
 
+@checked
 def certify(
     what: Path | str | Spec | Scenario,
     *,
@@ -210,12 +211,9 @@ def certify(
     >>> found.verdict.name
     'HOLDS'
     """
-    if umax is not None:
-        require(umax, Real, "umax", "a positive number")
     if umax is not None and not 0.0 < umax < math.inf:
         raise InvalidInput(f"umax = {umax!r} is not valid; give a positive number")
     require_count(samples, "samples")
-    require(seed, Integral, "seed", "a whole number that is not negative")
     if seed < 0:
         raise InvalidInput(f"seed = {seed} is not valid; give a whole number that is not negative")
     found = [certify_design(design, samples, seed) for design in designs_of(what)]

@@ -2,7 +2,7 @@
 
 Every FMU of `congelation build` carries the structure that its equations were derived from, in
 ``resources/spec.json``. From it the theory derives plant and controller anew, closes the loop
-without any co-simulation, and scipy solves it to 1e-10, stopping at every jump of theta(t).
+without any co-simulation, and scipy solves it to 1e-12, stopping at every jump of theta(t).
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ import fmpy
 import numpy as np
 import numpy.typing as npt
 
+from congelation.arguments import checked
 from congelation.cosim.result import Result
 from congelation.cosim.system import Component, System
 from congelation.errors import CongelationError, InvalidInput
@@ -251,6 +252,7 @@ def compare(found: Reference, trajectory: Trajectory) -> tuple[Deviation, ...]:
     return _deviations(found, trajectory.time, trajectory.columns, trajectory.values)
 
 
+@checked
 def verify(system: System, result: Result) -> tuple[Deviation, ...]:
     """Compare a run with the solution of the same loop as one differential equation.
 

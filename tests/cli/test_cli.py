@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import subprocess
 import time
@@ -9,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.scenarios import FMUS, SCALAR, write
-from tests.studies import COMMAND, environment, process
+from tests.scenarios import FMUS, ROOT, SCALAR, write
+from tests.studies import COMMAND, children, environment, is_alive, process, start, until
 from tests.studies import command as congelation
 from tests.studies import last_line as one_line
 
@@ -101,7 +102,8 @@ def test_help_and_version(arguments: list[str], text: str) -> None:
     assert text in done.stdout
 
 
-def test_interrupting_a_run_is_one_line(tmp_path: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interrupting_a_run_is_one_line(tmp_path: Path, number: int) -> None:
     long = write(tmp_path, SCALAR, ("stop_time = 1.0", "stop_time = 10000.0"))
     running = subprocess.Popen(
         [*COMMAND, "run", str(long), "--out", str(tmp_path / "out")],
@@ -113,8 +115,22 @@ def test_interrupting_a_run_is_one_line(tmp_path: Path) -> None:
     while not (tmp_path / "out").is_dir():
         time.sleep(0.05)
     time.sleep(0.5)
-    running.send_signal(signal.SIGINT)
+    running.send_signal(number)
     _, errors = running.communicate(timeout=30)
     assert running.returncode == 130
     assert "Traceback" not in errors
     assert errors.strip().splitlines()[-1].startswith("congelation: interrupted")
+
+
+@pytest.mark.slow
+def test_interrupting_a_search_is_one_line_and_ends_its_processes(tmp_path: Path) -> None:
+    """A terminal sends Ctrl-C to all processes of the command."""
+    running = start("attack", ROOT / "scenarios" / "fig2.toml", "--workers", "2")
+    until(lambda: len(children(running.pid)) == 2)
+    workers = children(running.pid)
+    os.killpg(running.pid, signal.SIGINT)
+    _, errors = running.communicate(timeout=30)
+    assert running.returncode == 130, errors
+    assert "Traceback" not in errors
+    assert errors.strip().splitlines()[-1] == "congelation: interrupted"
+    until(lambda: not any(map(is_alive, workers)))

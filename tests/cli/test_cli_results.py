@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import json
+import shlex
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -210,3 +214,38 @@ def test_tables_are_aligned_and_not_cut() -> None:
 def test_figures_take_formats_and_a_width(out: Path, tmp_path: Path) -> None:
     for option, text in (("--format", "gif"), ("--width", "5"), ("--width", "1mm")):
         assert f"{option} {text}: give" in one_line(congelation("report", out, option, text), 2)
+
+
+def test_what_was_kept_and_is_gone_is_named(out: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(out, copy)
+    gone = rows(copy)[1]["run_id"]
+    (copy / "trajectories" / f"{gone}.parquet").unlink()
+    for words in (("export", copy, "--csv", tmp_path / "csv"), ("report", copy)):
+        done = congelation(*words)
+        assert done.returncode == 0
+        assert f"1 run of {copy} without the trajectory that was kept: {gone}; " in done.stderr
+
+
+@pytest.mark.parametrize("option", ["--by", "--pareto"])
+def test_a_name_given_twice_is_refused(out: Path, option: str) -> None:
+    line = one_line(congelation("report", out, option, "peak_x", option, "peak_x"), 2)
+    assert line == f"congelation: {option} peak_x is given twice"
+
+
+def test_directories_without_a_common_run_are_not_compared(out: Path, tmp_path: Path) -> None:
+    other = results(tmp_path / "other", [(record("r1", 7), trajectory(1.0))]).folder
+    line = one_line(congelation("report", out, other), 2)
+    assert line.startswith("congelation: out (2 runs) and other (1 run) have no run in common, ")
+    assert not (other / "comparison.html").exists()
+
+
+def test_results_are_shown_to_nobody() -> None:
+    """Standard output may be closed by who started the process."""
+    done = subprocess.run(
+        ["sh", "-c", f"{shlex.quote(sys.executable)} -m congelation --version >&-"],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")

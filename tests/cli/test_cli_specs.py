@@ -109,7 +109,8 @@ def test_certify_warns_of_what_is_left_out(congelation, tmp_path):
     assert done.returncode == 0
     assert done.stderr == (
         "congelation: Scalar example: warning: controller.start.delta: it is left out, and so 1, "
-        "which covers 1, the radius of the box that theta(t) fills; give delta = 1, or more\n"
+        "which covers 1, the radius of the box that theta(t) fills; give delta = 1, or more "
+        "(docs/theory.md, 'The idea')\n"
     )
 
 

@@ -76,3 +76,12 @@ def test_reports_are_over_replicates_or_by_them(replicated: Path) -> None:
     by_replicate = congelation("report", out, "--by", "replicate").stdout.splitlines()
     assert [line.split()[:2] for line in by_replicate[1:4]] == [["1", "4"], ["2", "4"], ["3", "4"]]
     assert congelation("ls", out).stdout.split()[:3] == ["run_id", "variant", "replicate"]
+
+
+def test_replicates_that_are_all_equal_are_named(tmp_path: Path) -> None:
+    """The seed of a term that is not there."""
+    silent = (TELEGRAPH[0], TELEGRAPH[1].replace("amplitude = 0.4", "amplitude = 0.0"))
+    done = sweep(write(tmp_path, SCALAR + REPLICATED, silent), tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    line = "warning: replicate makes no difference: its values give the same metrics"
+    assert done.stderr.splitlines()[-1] == f"congelation: {line}"

@@ -111,6 +111,11 @@ def test_infeasible_gains_are_refused(tmp_path, capsys):
             "r = 1e.300, epsilon = 0.3.* would not be finite at the start",
         ),
         ("r = 5, epsilon = 1e-300", "k cannot be computed from r = 5.0, epsilon = 1e-300"),
+        (
+            "epsilon = 0.1",
+            "it is left out, and so r = 3 is infeasible .* smallest feasible r is 10.0499 "
+            r".docs/theory\.md, 'The ISS K-filter'.",
+        ),
         ("r = 5, epsilon = 1e300", "the weight Q of .41. leaves the range of floats"),
         ("r = 5, epsilon = 1e-100", "up to 1e.12 that double precision could hold"),
     ],

@@ -52,6 +52,17 @@ def test_links(site: Path) -> None:
     assert not broken
 
 
+def test_the_sections_that_messages_name_are_there() -> None:
+    sources = "\n".join(file.read_text("utf-8") for file in (ROOT / "congelation").rglob("*.py"))
+    joined = re.sub(r'"\s*f?"', "", sources)  # a message of more lines than one
+    named = set(re.findall(r"\(docs/(\w+)\.md, '([^'{]+)'\)", joined))
+    named |= {("theory", s) for s in re.findall(r'section = "([^"]+)" if .* else', sources)}
+    assert len(named) > 5
+    for page, section in named:
+        text = (ROOT / "docs" / f"{page}.md").read_text("utf-8")
+        assert re.search(rf"^#+ {re.escape(section)}\b", text, re.MULTILINE), (page, section)
+
+
 @pytest.mark.slow
 def test_no_page_fetches_anything_from_elsewhere(site: Path) -> None:
     for page in site.rglob("*.html"):

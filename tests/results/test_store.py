@@ -335,3 +335,59 @@ def test_of_many_steps_extremes_are_kept_and_of_equal_ones_the_ends() -> None:
     assert equal.time.tolist() == [0.001, 10.0]
     nothing = Steps.between(np.array([0.0]))
     assert (nothing.count, len(nothing.length)) == (0, 0)
+
+
+def test_pages_that_are_damaged_are_named(store: Store) -> None:
+    store.add([record(f"r{k}", message="x" * 200) for k in range(300)])
+    store.close()
+    content = bytearray(store.database.read_bytes())
+    content[4200::97] = bytes(b ^ 0xFF for b in content[4200::97])
+    store.database.write_bytes(content)
+    with pytest.raises(InvalidInput, match=r"runs\.sqlite cannot be read: "):
+        list(Results(store.root).runs)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ("DELETE FROM studies", "says nothing of its study"),
+        ("UPDATE studies SET about = '{}'", "says nothing of its study"),
+        ("UPDATE studies SET about = '{'", "what it says of a study is damaged"),
+    ],
+)
+def test_a_study_that_is_damaged_is_named(store: Store, change: str, message: str) -> None:
+    store.close()
+    with sqlite3.connect(store.database) as connection:
+        connection.execute(change)
+    connection.close()
+    with pytest.raises(InvalidInput, match=message):
+        Results(store.root).study()
+
+
+def test_a_directory_that_is_gone_has_no_runs_to_show(store: Store) -> None:
+    results = open_results(store.root)
+    store.close()
+    store.database.unlink()
+    assert repr(results).endswith("is no result directory")
+    with pytest.raises(InvalidInput, match="is no result directory"):
+        len(results.runs)
+
+
+def test_wrong_ways_to_name_a_run(store: Store) -> None:
+    store.add([record("r1")])
+    store.write_trajectory("r1", trajectory_bytes(trajectory()))
+    results = Results(store.root)
+    np.testing.assert_equal(results.trajectory(results.runs[0]).time, trajectory().time)
+    with pytest.raises(InvalidInput, match="run_id = 5 is not valid; give a text or a RunRecord"):
+        results.trajectory(5)  # type: ignore[arg-type]
+    with pytest.raises(InvalidInput, match=r"runs\[1.5\]: give a number, a slice or the name"):
+        results.runs[1.5]  # type: ignore[call-overload]
+
+
+def test_a_trajectory_that_is_gone_is_missing_in_a_plan(store: Store) -> None:
+    store.add([record("a1"), record("a2"), record("a3", status="TIMED_OUT")])
+    store.write_trajectory("a1", trajectory_bytes(trajectory()))
+    plan = [(0, "a1"), (1, "a2"), (2, "a3")]
+    assert list(store.plan("p", plan).missing) == []
+    assert list(store.plan("p", plan, trajectories=True).missing) == [1]
+    assert Results(store.root).lost_trajectories() == ["a2"]

@@ -87,12 +87,27 @@ def test_settings_are_flat_and_plain() -> None:
     }
 
 
+@pytest.mark.parametrize("before", ["limit", "limit[1]"])
+@pytest.mark.parametrize("name", ["limit", "limit[1]"])
+def test_a_setting_takes_the_place_of_a_start_value_however_both_name_it(
+    before: str, name: str
+) -> None:
+    saturation = Component("saturation", FMUS / "Saturation.fmu", {before: 0.5})
+    links = ("plant.x -> controller.x", "controller.u -> saturation.u", "saturation.y -> plant.u")
+    scenario = compose(
+        system=System((*SYSTEM.components, saturation), links),
+        variants=(Variant("wider", {f"saturation.{name}": 2.0}),),
+    )
+    case = scenario.case(scenario.variants[0].settings)
+    assert case.system.components[-1].start == {"limit[1]": 2.0}
+
+
 def variant(settings: dict[str, Any]) -> tuple[Variant, ...]:
     return (Variant("one"), Variant("two", settings))
 
 
 MISTAKES: dict[str, tuple[Callable[[], dict[str, Any]], str]] = {
-    "title": (lambda: {"title": 1}, "title = 1 is not valid; give a string"),
+    "title": (lambda: {"title": 1}, "title = 1 is not valid; give a text"),
     "step": (
         lambda: {"experiment": Experiment(1.0, step=-1.0)},
         "experiment.step = -1.0 is not valid; give a positive time in seconds",

@@ -287,6 +287,11 @@ MISTAKES = {
         "controller.epsilon",
         "sweep.axes[4].set sets 'controller.epsilon', which sweep.axes[1] sets already",
     ),
+    "one variable twice in one axis": (
+        'set = "controller.gamma"\nvalues = [1, 2]',
+        'set = ["controller.gamma", "controller.gamma"]\nvalues = [[1, 2]]',
+        "sweep.axes[4].set sets 'controller.gamma' twice; leave one of them out",
+    ),
     "a variable that variants set": (
         'set = "controller.gamma"\nvalues = [1, 2]',
         'set = "controller.damping"\nvalues = [true, false]',

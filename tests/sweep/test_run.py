@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from congelation.errors import DesignWarning
+from congelation.errors import DesignWarning, InvalidInput
 from congelation.results.results import Results
 from congelation.scenario.load import load_scenario
 from congelation.sweep.engine import Tally
@@ -234,3 +234,25 @@ def test_a_refusal_names_its_component_once(tmp_path: Path) -> None:
     rows = rows_of(run(tmp_path, ("epsilon = 0.3", "epsilon = -1")))
     assert rows[0]["status"] == "SLAVE_FAILED"
     assert rows[0]["message"].startswith("controller at t = 0: epsilon = -1.0 is refused: ")
+
+
+@pytest.mark.workers
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"workers": 0}, "workers = 0 is not valid; give a whole number of at least 1"),
+        ({"timeout": -1.0}, "timeout = -1.0 is not valid; give a positive number of seconds"),
+        (
+            {"timeout": float("nan")},
+            "timeout = nan is not valid; give a positive number of seconds",
+        ),
+        ({"out": ""}, "out = '' names no folder; give one, '.' being this one"),
+    ],
+)
+def test_what_no_study_can_have_is_refused(
+    tmp_path: Path, options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(InvalidInput) as error:
+        run_study(write(tmp_path), **{"out": tmp_path / "out", **options})
+    assert str(error.value) == message
+    assert not (tmp_path / "out").exists()

@@ -6,6 +6,7 @@ is left out.
 """
 
 import dataclasses
+import tomllib
 
 import casadi as ca
 import numpy as np
@@ -31,6 +32,7 @@ from congelation.theory.strict_feedback import (
     regressors_of,
     strict_feedback_plant,
 )
+from tests.scenarios import ROOT
 
 from .systems import (
     numbers,
@@ -163,15 +165,33 @@ def test_without_the_damping_of_the_disturbance_it_fails(monkeypatch, n, p):
     assert violated(random_loop(n, n, p, DISTURBED, epsilon_d=0.3))
 
 
-@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2), (4, 2)])
-def test_a_control_that_cancels_does_not_stand_a_varying_gain(monkeypatch, n, p):
+def cancel(monkeypatch):
     """u = rho_hat alpha_n, rho_hat' = -gamma sign_b alpha_n z_n, as for a constant gain."""
     monkeypatch.setattr(
         StateFeedbackDesign,
         "kappa",
         property(lambda design: -design.steps[-1].alpha / design.steps[-1].z),
     )
+
+
+@pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2), (4, 2)])
+def test_a_control_that_cancels_does_not_stand_a_varying_gain(monkeypatch, n, p):
+    cancel(monkeypatch)
     assert violated(random_loop(n, n, p, GAIN))
+
+
+def test_a_chain_of_three_stands_a_varying_gain(monkeypatch):
+    """The chain of specs/chain3.toml with b(t), not a random plant, of both signs."""
+    rows = tomllib.loads((ROOT / "specs" / "chain3.toml").read_text())["structure"]["phibar"]
+    phibar = np.zeros((3, 3, 2))
+    for place, row in rows.items():
+        phibar[tuple(int(k) - 1 for k in place.split(","))] = row
+    parameters = {"c": np.ones(3), "epsilon": 1.5, "delta": 0.3, "gamma": 1.0}
+    for sign in (1.0, -1.0):
+        loop = closed(phibar, parameters | {"sign_b": sign}, GAIN)
+        assert not state_feedback_certificate(loop).search(150, ascents=2).violated
+    cancel(monkeypatch)
+    assert violated(closed(phibar, parameters | {"sign_b": 1.0}, GAIN))
 
 
 @pytest.mark.parametrize(("n", "p"), [(1, 1), (2, 2), (3, 2), (4, 2)])
@@ -390,7 +410,7 @@ def test_first_order_structured_variations_by_hand():
 
 
 STRUCTURES_REFUSED = {
-    "rows": ((("1",),), "Upsilon has 1 rows of 1 formulas; valid: a row for each of the 2"),
+    "rows": ((("1",),), "Upsilon has 1 row of 1 formulas; valid: a row for each of the 2"),
     "lengths": ((("1",), ("1", "t")), "rows of 1, 2 formulas"),
     "no derivative": ((("sqrt(t**2)",), ("1",)), "has not 2 derivatives at t = 0"),
     "pole": ((("1/t",), ("1",)), "has not 2 derivatives at t = 0"),
@@ -657,5 +677,6 @@ REFUSED = {
 
 @pytest.mark.parametrize(("text", "message"), REFUSED.items(), ids=[k[:20] for k in REFUSED])
 def test_formulas_that_are_refused(text, message):
-    with pytest.raises(InvalidInput, match=message):
+    with pytest.raises(InvalidInput, match=message) as caught:
         regressors_of(Nonlinear(((text,),)))
+    assert str(caught.value).endswith("(docs/theory.md, 'Nonlinear regressors')")

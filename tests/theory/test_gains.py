@@ -193,7 +193,8 @@ def test_paper_values_are_infeasible():
 def test_the_r_of_the_message_is_feasible(n, epsilon):
     with pytest.raises(InfeasibleDesign) as refusal:
         iss_filter_gain(0.5, epsilon, n=n)
-    iss_filter_gain(float(str(refusal.value).split()[-1]), epsilon, n=n)
+    r = str(refusal.value).partition("smallest feasible r is ")[2].split()[0]
+    iss_filter_gain(float(r), epsilon, n=n)
 
 
 def test_weight_of_time_varying_b():

@@ -265,7 +265,8 @@ BELOW = {
     "left out": (
         strict(SWING.replace("0.6", "0.9"), "epsilon = 1"),
         "controller.start.delta: it is left out, and so 1, which is less than 1.20416, the radius "
-        "of the box that theta(t) fills; give delta = 1.20416, or narrow the profile",
+        "of the box that theta(t) fills; give delta = 1.20416, or narrow the profile "
+        "(docs/theory.md, 'The idea')",
     ),
     "scalar": (
         first_order('"theta[1]" = [{sine = {amplitude = 2, omega = 1}}]', "delta = 1"),
@@ -307,7 +308,7 @@ def test_what_is_left_out_but_covers_theta_is_a_warning(tmp_path):
     (line,) = found.warnings
     assert line == (
         "controller.start.delta: it is left out, and so 1, which covers 0.8544, the radius of the "
-        "box that theta(t) fills; give delta = 0.8544, or more"
+        "box that theta(t) fills; give delta = 0.8544, or more (docs/theory.md, 'The idea')"
     )
 
 

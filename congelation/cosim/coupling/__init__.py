@@ -14,9 +14,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from functools import cache
 from types import MappingProxyType
-from typing import Any, get_args, get_type_hints
 
 from congelation.cosim.coupling.auto import Auto
 from congelation.cosim.coupling.base import (
@@ -30,7 +28,7 @@ from congelation.cosim.coupling.derivative import Derivative
 from congelation.cosim.coupling.held import GaussSeidel, Jacobi, Sampled
 from congelation.cosim.coupling.hermite import Hermite
 from congelation.cosim.coupling.model_exchange import ModelExchange
-from congelation.errors import InvalidInput, nearest, shown
+from congelation.errors import InvalidInput, nearest
 
 __all__ = [
     "COUPLINGS",
@@ -45,7 +43,6 @@ __all__ = [
     "Sampled",
     "Stepper",
     "Trial",
-    "check_options",
     "make_coupling",
     "refuse_tolerance",
 ]
@@ -72,13 +69,11 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
     kind = COUPLINGS[name]
     fields = dataclasses.fields(kind)  # type: ignore[arg-type]  # all are dataclasses
     known = [field.name for field in fields]
-    types = _types(kind)  # type: ignore[arg-type]  # a union of classes is hashable
     given = dict(options or {})
-    for option, value in given.items():
+    for option in given:
         if option not in known:
             hint = nearest(option, known) if known else "it takes no options"
             raise InvalidInput(f"coupling '{name}': no option '{option}'; {hint}")
-        _check_type(f"coupling '{name}': {option} = {shown(value)}", value, types[option])
     for field in fields:
         if field.default is dataclasses.MISSING and field.name not in given:
             raise InvalidInput(f"coupling '{name}' needs the option '{field.name}'")
@@ -86,35 +81,3 @@ def make_coupling(name: str, options: Mapping[str, object] | None = None) -> Cou
         return kind(**given)
     except InvalidInput as error:
         raise InvalidInput(f"coupling '{name}': {error}") from error
-
-
-def check_options(coupling: Coupling | Auto) -> None:
-    """Refuse a coupling whose options are of other types than theirs.
-
-    Raises
-    ------
-    InvalidInput
-    """
-    types = _types(type(coupling))  # type: ignore[arg-type]  # a union of classes is hashable
-    for field in dataclasses.fields(coupling):  # type: ignore[arg-type]  # all are dataclasses
-        value = getattr(coupling, field.name)
-        what = f"coupling '{coupling.name}': {field.name} = {shown(value)}"
-        _check_type(what, value, types[field.name])
-
-
-@cache
-def _types(kind: type[Coupling | Auto]) -> Mapping[str, Any]:
-    """The types of a coupling's options; to find them takes longer than a short run."""
-    return get_type_hints(kind)
-
-
-_WANTED = {float: "a number", int: "an integer", str: "a text"}
-
-
-def _check_type(what: str, value: object, annotation: Any) -> None:
-    """Refuse a value of another type than the option's; integers are numbers, truth values not."""
-    allowed = get_args(annotation) or (annotation,)
-    numbers = (int,) if float in allowed else ()
-    if isinstance(value, bool) or not isinstance(value, (*allowed, *numbers)):
-        wanted = " or ".join(_WANTED[kind] for kind in allowed if kind in _WANTED)
-        raise InvalidInput(f"{what}: {wanted} is needed")

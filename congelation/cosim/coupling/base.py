@@ -15,6 +15,7 @@ from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from congelation.arguments import check_fields
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.errors import InvalidInput
@@ -163,6 +164,9 @@ class Coupling(ABC):
     lands_on_events: ClassVar[bool] = False
     takes_tolerance: ClassVar[bool] = False
     latches: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        check_fields(self, "")
 
     @property
     @abstractmethod

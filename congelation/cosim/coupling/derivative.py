@@ -67,6 +67,7 @@ class Derivative(StepsOnce):
     takes_tolerance: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.sequence not in SEQUENCES:
             raise InvalidInput(f"sequence '{self.sequence}'; valid: {', '.join(SEQUENCES)}")
         if self.control not in CONTROLS:

@@ -10,13 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from numbers import Integral, Real
 from typing import ClassVar, NamedTuple
 
 from congelation.cosim.coupling.base import Coupling, Stepper, StepsOnce, Watch
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange, settle_discrete
-from congelation.errors import InvalidInput, require
+from congelation.errors import InvalidInput
 
 __all__ = ["GaussSeidel", "Jacobi", "Sampled"]
 
@@ -187,8 +186,7 @@ class Sampled(Coupling):
     latches: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
-        require(self.sample_time, Real, "sample_time", "a number of seconds")
-        require(self.delay, Integral, "delay", "0 or 1")
+        super().__post_init__()
         if not (math.isfinite(self.sample_time) and self.sample_time > 0.0):
             raise InvalidInput(f"sample_time {self.sample_time:g} must be positive, in seconds")
         if self.delay not in DELAYS:

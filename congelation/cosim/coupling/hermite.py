@@ -116,6 +116,7 @@ class Hermite(Coupling):
     takes_tolerance: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.acceleration not in ACCELERATIONS:
             valid = ", ".join(ACCELERATIONS)
             raise InvalidInput(f"acceleration '{self.acceleration}'; valid: {valid}")

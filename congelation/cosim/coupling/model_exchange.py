@@ -60,6 +60,7 @@ class ModelExchange(StepsOnce):
     takes_tolerance: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.method not in METHODS:
             raise InvalidInput(f"method '{self.method}'; valid: {', '.join(METHODS)}")
 

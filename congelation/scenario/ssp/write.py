@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -21,8 +20,9 @@ from pathlib import Path
 
 from lxml import etree
 
+from congelation.arguments import checked
 from congelation.cosim.system import ResolvedSystem, System
-from congelation.errors import InvalidInput, nearest, require
+from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import Variable
 from congelation.fmi.start_values import StartValue
 from congelation.places import replace_whole
@@ -45,6 +45,7 @@ _PARAMETER_SET = "initialValues"
 _SLAVE_TOLERANCE = 1e-8
 
 
+@checked
 def write_ssp(
     scenario: Scenario,
     file: Path | str,
@@ -89,11 +90,9 @@ def write_ssp(
     >>> scenario = cg.load_scenario("scenarios/scalar.toml")
     >>> cg.export_ssp(scenario, folder / "scalar.ssp", "Controller 2")
     """
-    require(scenario, Scenario, "scenario", "a Scenario, such as load_scenario reads")
-    require(file, (str, os.PathLike), "file", "a path")
-    file = Path(file)
     if step is not None and not 0.0 < step < math.inf:
         raise InvalidInput(f"step {step:g} is not valid; give a positive time in seconds")
+    file = Path(file)
     if file.suffix != ".ssp":
         raise InvalidInput(f"{file}: the name of an SSP archive ends in .ssp")
     chosen = _variant(scenario, variant)
