@@ -25,9 +25,8 @@ from congelation.cosim.system import (
     Link,
     Recorded,
     ResolvedSystem,
-    derivative_name,
 )
-from congelation.fmi.description import Description, Variable
+from congelation.fmi.description import EVENT, Description, Variable, derivative_name
 from congelation.fmi.slave import Slave, State
 
 __all__ = ["LARGEST_VALUE", "NO_DERIVATIVE", "Ensemble", "Transfer"]
@@ -40,9 +39,6 @@ LARGEST_VALUE = 1e100
 
 NO_DERIVATIVE = -1
 """Stands for the place of a derivative that the source does not provide."""
-
-EVENT = "next_event"
-"""Name of the output that announces the next jump."""
 
 
 @dataclass
@@ -66,9 +62,11 @@ class _Part:
 
     def add_derivative(self, description: Description, variable: Variable) -> None:
         """Read the derivative of an output, if there is any way to."""
-        exact = description.variables.get(derivative_name(variable.name, 1))
-        if exact is not None and exact.causality == "output" and exact.type == "Real":
+        exact = description.derivative(variable, "output")
+        if exact is not None:
             self.plain[exact.name] = exact
+        elif description.misfit(variable):
+            return
         elif description.max_output_derivative_order > 0 and variable.causality == "output":
             self.ranked[variable.name] = variable
 
@@ -201,10 +199,8 @@ class Ensemble:
                 if slopes:
                     part.add_derivative(members[item.member].description, item.variable)
         for part, member in zip(parts, members, strict=True):
-            event = part.plain.pop(EVENT, None)
-            if event is None and events:
-                event = member.description.variables.get(EVENT)
-            if event is not None and event.causality == "output" and event.type == "Real":
+            event = member.description.announcement
+            if event is not None and (part.plain.pop(EVENT, None) is not None or events):
                 part.plain[EVENT] = event
         keys = [(m, name) for m, part in enumerate(parts) for name in part.names]
         self.read_names = [f"{members[m].name}.{name}" for m, name in keys]
@@ -230,7 +226,7 @@ class Ensemble:
                 )
             self.reads.append(reads)
             self.read.append(self._calls(slave, reads))
-            announces = EVENT in part.plain
+            announces = EVENT in part.plain and slave.description.announcement is not None
             if announces:
                 self.events.append(middle - 1)
             # An announcement may be infinite, so the check of finite values stops before it.
@@ -243,6 +239,9 @@ class Ensemble:
 
     def slope_place(self, member: int, name: str) -> int:
         """Where the derivative of a variable stands in Y, or NO_DERIVATIVE."""
+        description = self.system.members[member].description
+        if description.misfit(description.variables[name]):
+            return NO_DERIVATIVE
         return self._place.get((member, derivative_name(name, 1)), NO_DERIVATIVE)
 
     def read_all(self) -> None:

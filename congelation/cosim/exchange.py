@@ -16,7 +16,7 @@ import numpy.typing as npt
 from congelation.cosim.broyden import broyden_step, learnt
 from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
 from congelation.cosim.result import RunEnded, Status
-from congelation.cosim.system import derivative_name
+from congelation.fmi.description import derivative_name
 
 __all__ = ["Exchange", "settle_discrete", "strong_components"]
 

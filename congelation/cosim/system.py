@@ -26,7 +26,6 @@ __all__ = [
     "Recorded",
     "ResolvedSystem",
     "System",
-    "derivative_name",
 ]
 
 MAX_DERIVATIVE = 3
@@ -317,11 +316,6 @@ KEPT_SYSTEMS = 64
 _LINKS: dict[object, tuple[tuple[Link, ...], tuple[Link, ...]]] = {}
 
 
-def derivative_name(name: str, order: int) -> str:
-    """The name of the derivative variable of `order`: der(v), der(v,2), der(v,3)."""
-    return f"der({name})" if order == 1 else f"der({name},{order})"
-
-
 def _check_names(names: Sequence[str]) -> None:
     if not names:
         raise InvalidInput("a system needs at least one component")
@@ -384,7 +378,9 @@ def _links(
             _derivatives(members[target].description, input_, "input"),
             converted.factor,
             converted.offset,
-            converted.doubt,
+            converted.doubt
+            or members[source].description.misfit(output)
+            or members[target].description.misfit(input_),
         )
 
 
@@ -457,14 +453,8 @@ def _conversion(
 def _derivatives(
     description: Description, variable: Variable, causality: str
 ) -> tuple[Variable | None, ...]:
-    found = (
-        description.variables.get(derivative_name(variable.name, order))
-        for order in range(1, MAX_DERIVATIVE + 1)
-    )
-    return tuple(
-        v if v is not None and v.causality == causality and v.type == "Real" else None
-        for v in found
-    )
+    orders = range(1, MAX_DERIVATIVE + 1)
+    return tuple(description.derivative(variable, causality, order) for order in orders)
 
 
 def _without_implied(links: Sequence[Link]) -> list[Link]:

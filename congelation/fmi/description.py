@@ -18,11 +18,22 @@ import fmpy
 from lxml import etree
 
 from congelation.errors import InvalidInput, nearest
-from congelation.fmi.units import BASE, Unit, unit_named
+from congelation.fmi.units import BASE, Unit, is_rate, unit_named
 from congelation.fmi.unpack import DAMAGED, check_archive, require_no_other_kind
 
-__all__ = ["ANNOTATION", "Description", "Equations", "Variable", "describe"]
+__all__ = [
+    "ANNOTATION",
+    "EVENT",
+    "Description",
+    "Equations",
+    "Variable",
+    "derivative_name",
+    "describe",
+]
 
+
+EVENT = "next_event"
+"""Name of the output that announces the next jump."""
 
 ANNOTATION = "congelation"
 """Name of the tool in annotations of FMUs."""
@@ -149,6 +160,32 @@ class Description:
         found = self.units.get(name)
         return found if found is not None else unit_named(name)
 
+    def derivative(self, variable: Variable, causality: str, order: int = 1) -> Variable | None:
+        """The Real variable der(v), der(v,2), .. of a causality, where it is known and not in
+        another unit than that of v per second."""
+        found = self.variables.get(derivative_name(variable.name, order))
+        if found is None or (found.causality, found.type) != (causality, "Real"):
+            return None
+        return None if self.misfit(variable, order) else found
+
+    def misfit(self, variable: Variable, order: int = 1) -> str:
+        """That der(v), der(v,2), .. is in another unit than that of v per second; else empty."""
+        found = self.variables.get(derivative_name(variable.name, order))
+        if found is None or is_rate(self.unit(found.unit), self.unit(variable.unit), order):
+            return ""
+        return (
+            f"'{found.name}' is in '{found.unit}', which is not the unit of '{variable.name}' "
+            f"('{variable.unit}') per second; it is not used"
+        )
+
+    @property
+    def announcement(self) -> Variable | None:
+        """The output that announces the next jump, in seconds."""
+        found = self.variables.get(EVENT)
+        if found is None or (found.causality, found.type) != ("output", "Real"):
+            return None
+        return found if found.unit in ("", "s") else None
+
     def variable(self, name: str, place: str) -> Variable:
         """The variable `name`, or InvalidInput that names the nearest one."""
         if name not in self.variables:
@@ -157,6 +194,11 @@ class Description:
                 f"{nearest(name, self.variables)}"
             )
         return self.variables[name]
+
+
+def derivative_name(name: str, order: int) -> str:
+    """The name of the derivative variable of `order`: der(v), der(v,2), der(v,3)."""
+    return f"der({name})" if order == 1 else f"der({name},{order})"
 
 
 def describe(path: Path) -> Description:

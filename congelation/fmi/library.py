@@ -27,6 +27,7 @@ __all__ = [
     "ERROR",
     "FATAL",
     "KEPT",
+    "PENDING",
     "STATUS_NAMES",
     "WARNING",
     "Log",
@@ -35,7 +36,7 @@ __all__ = [
     "unpack",
 ]
 
-WARNING, DISCARD, ERROR, FATAL = 1, 2, 3, 4
+WARNING, DISCARD, ERROR, FATAL, PENDING = 1, 2, 3, 4, 5
 """Values of fmi2Status."""
 
 KEPT_MESSAGES = 200

@@ -18,7 +18,7 @@ from fmpy.fmi2 import fmi2EventInfo
 from congelation.errors import SlaveError
 from congelation.fmi.calls import CALLS
 from congelation.fmi.description import Description, Variable
-from congelation.fmi.library import DISCARD, FATAL, STATUS_NAMES, WARNING, Log, load
+from congelation.fmi.library import DISCARD, FATAL, PENDING, STATUS_NAMES, WARNING, Log, load
 from congelation.fmi.start_values import StartValue
 
 __all__ = ["TERMINATE", "DiscreteStates", "Slave", "SlaveTerminated", "State", "StepDiscarded"]
@@ -444,7 +444,8 @@ class Slave:
     def _fail(self, function: str, status: int) -> NoReturn:
         self._broken = self._broken or status >= FATAL
         name = STATUS_NAMES[status] if status < len(STATUS_NAMES) else f"status {status}"
-        reason = self._reason(f"{function} returned {name}")
+        help_ = _HELP.get(status, "") if function == "fmi2DoStep" else ""
+        reason = self._reason(f"{function} returned {name}{help_}")
         if "KeyboardInterrupt" in reason:
             # Ctrl-C reached Python code inside the FMU, and comes back as its last message.
             raise KeyboardInterrupt
@@ -558,6 +559,12 @@ def _scalar(given: StartValue) -> Any:
 
 _DISCARDING = ("fmi2DoStep", "fmi2SetContinuousStates", "fmi2GetDerivatives")
 """Functions whose fmi2Discard asks for a shorter step."""
+
+_HELP = {
+    DISCARD: " (where the step is fixed: give a smaller one, or a tolerance)",
+    PENDING: "; FMUs whose steps end later than the call are not run",
+}
+"""What helps where fmi2DoStep returned this without a reason."""
 
 _C_TYPES: dict[str, Any] = {
     "Real": ctypes.c_double,

@@ -20,6 +20,7 @@ __all__ = [
     "base_unit",
     "conversion",
     "factors",
+    "is_rate",
     "known_units",
     "unit_named",
     "unit_of_factors",
@@ -158,6 +159,22 @@ def conversion(source: Unit | None, target: Unit | None, *, relative: bool = Fal
     return Conversion(factor, offset, doubt)
 
 
+def is_rate(rate: Unit | None, unit: Unit | None, order: int = 1) -> bool:
+    """Whether a unit is that of a derivative: `unit` per second to the power `order`.
+
+    True where one of them is not stated or not defined; radians do not count.
+    """
+    if rate is None or unit is None or rate.exponents is None or unit.exponents is None:
+        return True
+    time = BASE.index("s")
+    expected = [power - order * (place == time) for place, power in enumerate(unit.exponents)]
+    same = all(
+        symbol == "rad" or a == b
+        for symbol, a, b in zip(BASE, rate.exponents, expected, strict=True)
+    )
+    return same and math.isclose(rate.factor, unit.factor, rel_tol=1e-12)
+
+
 def _name(unit: Unit | None) -> str:
     return "" if unit is None else unit.name
 
@@ -207,6 +224,11 @@ def factors(unit: str) -> dict[str, int]:
         for name in part.split("."):
             match = _FACTOR.fullmatch(name)
             if match is None or match.group(1) not in _DERIVED:
+                if match is not None and match.group(1) in _WITH_OFFSET:
+                    raise InvalidInput(
+                        f"unit '{unit}': '{match.group(1)}' has an offset and cannot stand in a "
+                        "linear equation or a product; give 'K'"
+                    )
                 raise InvalidInput(f"unit '{unit}': '{name}' is no unit; {nearest(name, _DERIVED)}")
             powers[match.group(1)] += (-1 if place else 1) * int(match.group(2) or 1)
     return {name: power for name, power in powers.items() if power and name != "1"}

@@ -354,6 +354,11 @@ class Store:
             self.create()
         connection = cast(sqlite3.Connection, self._connection)
         with self._errors():
+            if not self.database.is_file():  # SQLite would go on in a file without a name
+                raise StoreError(
+                    f"{self.database} was removed while a study wrote into it; its runs are lost: "
+                    "run it again"
+                )
             connection.execute("BEGIN IMMEDIATE")
             try:
                 yield connection

@@ -142,6 +142,8 @@ def _samples(section: Section, samples: int | None, needed: bool, sampling: str)
     if not needed:
         if samples is not None:
             raise section.error("samples", "has no meaning without a random axis")
+        if "sampling" in section.data:
+            raise section.error("sampling", "has no meaning without a random axis")
         return 0
     if samples is None:
         raise section.error("samples", f"is missing; give {keys.SWEEP['samples'].valid}")

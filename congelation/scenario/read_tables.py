@@ -12,7 +12,7 @@ from typing import Any
 from congelation import keys
 from congelation.cosim.system import Component, Connection, Recorded, ResolvedSystem, System
 from congelation.errors import InvalidInput, nearest
-from congelation.fmi.description import describe
+from congelation.fmi.description import EVENT, describe
 from congelation.scenario.metrics import metric
 from congelation.scenario.parts import (
     EXPERIMENT,
@@ -82,6 +82,7 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
         "warnings": (
             *_doubtful(resolved, document.file),
             *_out_of_range(resolved, variants, document.file),
+            *_mixed(resolved, metrics, document.file),
             *_past_the_end(metrics, experiment, given, document.file),
             *_forgotten(resolved, {*given, *left_open, *reader.driven}, document.file),
         ),
@@ -103,10 +104,27 @@ def _past_the_end(
         )
     for found in metrics:
         after = found.options.get("after", -math.inf)
+        if -math.inf < after < experiment.start_time:
+            yield (
+                f"{file}: metrics.{found.name}.after = {after:g} is before start_time = "
+                f"{experiment.start_time:g}: it has no effect"
+            )
         if after > experiment.stop_time:
             yield (
                 f"{file}: metrics.{found.name}.after = {after:g} is past stop_time = "
                 f"{experiment.stop_time:g}: the metric has no value"
+            )
+
+
+def _mixed(resolved: ResolvedSystem, metrics: Iterable[MetricSpec], file: str) -> Iterator[str]:
+    """A line for each metric that takes the norm of elements in different units."""
+    for found in metrics:
+        units = {c.variable.unit for c in resolved.recorded([found.of])} if found.of else ()
+        if len(units) > 1:
+            names = ", ".join(f"'{unit}'" for unit in sorted(units))
+            yield (
+                f"{file}: metrics.{found.name}: '{found.of}' has elements in {names}, whose norm "
+                "depends on the units; give a metric of each element"
             )
 
 
@@ -244,7 +262,15 @@ def _open(resolved: ResolvedSystem, driven: Mapping[str, str], names: Iterable[s
 
 
 def _doubtful(resolved: ResolvedSystem, place: str) -> Iterator[str]:
-    """A line for each connection whose units or enumerations cannot be compared."""
+    """A line for each connection whose units or enumerations cannot be compared, and for each
+    announcement of jumps that is no time in seconds."""
+    for member in resolved.members:
+        named = member.description.variables.get(EVENT)
+        if named is not None and named.unit and member.description.announcement is None:
+            yield (
+                f"{place}: '{member.name}.{EVENT}' is in '{named.unit}', not in 's'; it is not "
+                "taken for an announcement of jumps"
+            )
     for link in (*resolved.links, *resolved.discrete_links):
         if link.doubt:
             yield f"{place}: connection '{link.name}': {link.doubt}"

@@ -131,6 +131,7 @@ class Local(Workers):
         self._batches: dict[int, _Batch] = {}
         self._doing: dict[Connection, int] = {}
         self._numbers = itertools.count()
+        self._heard = time.monotonic()
 
     def submit(self, tasks: Sequence[Task]) -> None:
         number = next(self._numbers)
@@ -143,13 +144,19 @@ class Local(Workers):
 
     def events(self) -> list[Event]:
         found: list[Event] = []
-        for pipe in cast(list[Connection], wait(list(self._pipes), PERIOD)):
+        ready = cast(list[Connection], wait(list(self._pipes), PERIOD))
+        for pipe in ready:
             try:
                 while pipe.poll():
                     found += self._received(pipe, pipe.recv())
             except (EOFError, OSError):  # the process has ended, perhaps while it wrote
                 found += self._ended(pipe)
         now, limit = time.monotonic(), self._job.timeout
+        if ready or any(batch.under_way for batch in self._batches.values()):
+            self._heard = now
+        elif limit is not None and self._batches and now - self._heard > limit + GRACE:
+            # A process that was stopped between two runs may keep the others from theirs.
+            self._end_stopped()
         for number, batch in list(self._batches.items()):
             # What was sent before the future was done is certainly read the next time.
             was_done, batch.was_done = batch.was_done, batch.future.done()
@@ -178,6 +185,16 @@ class Local(Workers):
             self.stop()
             self.start(self._job)
         return found
+
+    def _end_stopped(self) -> None:
+        """End the processes that a signal has stopped; what they had is done again."""
+        for process in list(self._pipes.values()):
+            try:
+                stopped = psutil.Process(process.pid).status() == psutil.STATUS_STOPPED
+            except psutil.Error:  # it has just ended
+                continue
+            if stopped:
+                process.kill()
 
     def _is_active(self) -> bool:
         """Whether the pool works; a process that cannot be started is the end of it."""

@@ -286,3 +286,22 @@ def test_an_fmu_may_end_the_run(fmus, kwargs):
     assert result.values[-1, 0] == pytest.approx(np.exp(-result.time[-1]), rel=1e-12)
     assert result.whole
     assert not result.completed
+
+
+@pytest.mark.parametrize(
+    ("status", "end"),
+    [
+        ("Discard", " (where the step is fixed: give a smaller one, or a tolerance)"),
+        ("Pending", "; FMUs whose steps end later than the call are not run"),
+    ],
+)
+def test_what_helps_where_a_step_is_refused_without_a_reason(tmp_path, status, end):
+    source = (SOURCES / "plain.c").read_text()
+    refused = source.replace(
+        "    if (t + h > 0.5) {", f"    if (h > 0.05) return fmi2{status};\n{{"
+    )
+    assert refused != source
+    (tmp_path / "plain.c").write_text(refused)
+    system = System((Component("a", plain_fmu(tmp_path, source=tmp_path / "plain.c")),))
+    result = simulate(system, stop_time=0.2, step=0.1, coupling="jacobi")
+    assert result.message == f"a at t = 0: fmi2DoStep returned fmi2{status}{end}"

@@ -15,7 +15,7 @@ from fmpy.fmi2 import FMU2Slave
 from congelation.cosim.master import simulate
 from congelation.cosim.system import Component, Connection, System
 from congelation.errors import InvalidInput
-from congelation.fmi.description import describe
+from congelation.fmi.description import derivative_name, describe
 from congelation.fmi.units import Unit, conversion, unit_named
 from tests.scenarios import FMUS
 
@@ -46,12 +46,13 @@ def with_units(folder: Path, name: str, units: Mapping[str, str]) -> Path:
                     text = re.sub(rf'<Unit name="{unit}">.*?</Unit>', "", text, flags=re.S)
                 text = text.replace("<UnitDefinitions>", f"<UnitDefinitions>{DEFINITIONS}")
                 for variable, unit in units.items():
-                    at = text.index(f'name="{variable}"')
+                    at = text.index(f'<ScalarVariable name="{variable}"')
                     head, tail = text[:at], text[at:]
-                    tail = re.sub(r'(<Real[^>]*?) unit="[^"]*"', r"\1", tail, count=1)
-                    if unit:
-                        tail = tail.replace("<Real", f'<Real unit="{unit}"', 1)
-                    text = head + tail
+                    begin = tail.index("<Real")
+                    end = tail.index(">", begin)
+                    real = re.sub(r' unit="[^"]*"', "", tail[begin:end])
+                    stated = f'<Real unit="{unit}"' if unit else "<Real"
+                    text = head + tail[:begin] + real.replace("<Real", stated) + tail[end:]
                 content = text.encode()
             new.writestr(entry, content)
     return target
@@ -59,10 +60,17 @@ def with_units(folder: Path, name: str, units: Mapping[str, str]) -> Path:
 
 def loop(folder: Path, output: str, input_: str, x0: float = 300.0, *back: Connection) -> System:
     """The scalar plant, its output and the controller's input in these units."""
+
+    def stated(unit: str, *orders: int) -> dict[str, str]:
+        names = {derivative_name("x", order): unit and unit + order * "/s" for order in orders}
+        return {"x": unit, **names}
+
     return System(
         (
-            Component("plant", with_units(folder, "ScalarPlant", {"x": output}), {"x0": x0}),
-            Component("controller", with_units(folder, "ScalarController", {"x": input_})),
+            Component("plant", with_units(folder, "ScalarPlant", stated(output, 1)), {"x0": x0}),
+            Component(
+                "controller", with_units(folder, "ScalarController", stated(input_, 1, 2, 3))
+            ),
         ),
         (Connection("plant.x", "controller.x"), *back),
     )
@@ -185,3 +193,25 @@ def test_display_units_are_known(tmp_path: Path) -> None:
     assert isinstance(found, Unit)
     assert found.factor * 212.0 + found.offset == pytest.approx(373.15)
     assert unit_named("degF").factor * 212.0 + unit_named("degF").offset == pytest.approx(373.15)
+
+
+@pytest.mark.parametrize(
+    ("rate", "fits"), [("K/s", True), ("", True), ("degC/s", True), ("mK/s", True), ("K/h", False)]
+)
+def test_a_derivative_in_another_unit_is_left_out(tmp_path: Path, rate: str, fits: bool) -> None:
+    """What no one defines, such as mK/s, is taken as it is."""
+    system = System(
+        (
+            Component("plant", with_units(tmp_path, "ScalarPlant", {"x": "degC", "der(x)": rate})),
+            Component("controller", with_units(tmp_path, "ScalarController", {"x": "degC"})),
+        ),
+        (Connection("plant.x", "controller.x"),),
+    )
+    resolved = system.resolve()
+    (link,) = resolved.links
+    assert (link.source_derivatives[0] is not None) is resolved.knows_derivative(link) is fits
+    if not fits:
+        assert link.doubt.startswith("'der(x)' is in 'K/h', which is not the unit of 'x' ('degC')")
+    record = ["plant.der(x)", "plant.x"]
+    result = simulate(system, stop_time=0.1, step=0.01, coupling="jacobi", record=record)
+    assert result.completed, result.message

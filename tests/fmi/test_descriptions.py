@@ -7,9 +7,11 @@ from pathlib import Path
 
 import pytest
 
+from congelation.cosim.pair_info import info
 from congelation.cosim.system import Component, Connection, System
 from congelation.errors import InvalidInput
 from congelation.fmi.description import Description, describe
+from congelation.fmi.library import Message
 from congelation.fmi.start_values import resolve_start
 from congelation.scenario.load import load_scenario
 
@@ -89,6 +91,7 @@ def test_the_offset_of_a_unit_is_not_that_of_a_difference(tmp_path: Path, output
         ('dependencies="1"', 'dependencies="77"', r"names the variable 77"),
         ('dependencies="1"', 'dependencies="a"', r"line 19: .*dependencies.*'a'"),
         ('max="5"', 'max="five"', r"line 13: .*max.*'five'"),
+        ('max="5"', 'max="5" nominal="abc"', r"line 13: .*nominal.*'abc'"),
         ('K="1" offset', 'K="one" offset', r"line 4: .*K.*'one'"),
         ('"Difference"/>', '"Distance"/>', r"Distance"),
     ],
@@ -101,6 +104,13 @@ def test_what_a_description_cannot_mean_is_refused(
         describe(file)
     assert str(caught.value).startswith(str(file))
     assert "\n" not in str(caught.value)
+
+
+def test_a_proposed_step_that_is_no_number_proposes_nothing(tmp_path: Path) -> None:
+    step = '<DefaultExperiment stepSize="abc"/>'
+    file = fmu(tmp_path, "<ModelVariables>", f"{step}<ModelVariables>")
+    assert describe(file).proposed_step is None
+    assert "abc" not in str(info(file))
 
 
 def test_numbers_of_32_bits_are_taken_to_the_last(m: Description) -> None:
@@ -155,3 +165,11 @@ def test_elements_that_count_from_0(tmp_path: Path) -> None:
     for value in (5.0, [5.0]):
         with pytest.raises(InvalidInput, match="2 values needed"):
             resolve_start(known, {"v": value}, "here")
+
+
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [("a\x1b[31m b", "a\\x1b[31m b"), (" one\n two ", "one two"), ("2 \u00b0C", "2 \u00b0C")],
+)
+def test_messages_are_one_line_that_no_terminal_obeys(text: str, line: str) -> None:
+    assert Message(2, "", text).line == line

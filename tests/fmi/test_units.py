@@ -54,3 +54,8 @@ def test_units_and_sizes_that_are_none_convert_and_weigh_nothing(tmp_path: Path)
         assert conversion(found.unit(name), found.unit("K")).doubt.endswith("cannot be compared")
     assert found.unit("shown").exponents is None
     assert [variable.nominal for variable in found.variables.values()] == [1.0, 1.0]
+
+
+def test_a_unit_with_an_offset_stands_in_no_product():
+    with pytest.raises(InvalidInput, match=r"'degC' has an offset .*; give 'K'"):
+        base_unit("degC/s")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -335,6 +336,14 @@ def test_of_many_steps_extremes_are_kept_and_of_equal_ones_the_ends() -> None:
     assert equal.time.tolist() == [0.001, 10.0]
     nothing = Steps.between(np.array([0.0]))
     assert (nothing.count, len(nothing.length)) == (0, 0)
+
+
+def test_a_removed_directory_is_told_by_the_next_commit(tmp_path: Path) -> None:
+    store = Store(tmp_path / "out")
+    store.create()
+    shutil.rmtree(tmp_path / "out")
+    with pytest.raises(StoreError, match="was removed while a study wrote into it"):
+        store.add([])
 
 
 def test_pages_that_are_damaged_are_named(store: Store) -> None:

@@ -190,3 +190,41 @@ def test_a_metric_of_mixed_units_has_none(tmp_path: Path, second: str, unit: str
     found = about(load_scenario(file), ())["metrics"]
     assert found["squared"]["unit"] == unit
     assert found["settled"]["unit"] == "s"
+
+
+def test_a_metric_of_times_before_the_start_is_named(tmp_path: Path) -> None:
+    old = 'peak_x = {metric = "peak", of = "plant.x"}'
+    file = write(tmp_path, SCALAR, (old, old.replace("}", ", after = -1}")))
+    assert load_scenario(file).warnings == (
+        f"{file}: metrics.peak_x.after = -1 is before start_time = 0: it has no effect",
+    )
+
+
+def test_a_sampling_of_nothing_is_refused(tmp_path: Path) -> None:
+    axis = '[sweep]\nsampling = "sobol"\n[[sweep.axes]]\nset = "controller.gamma"\nvalues = [1.0]\n'
+    with pytest.raises(InvalidInput, match=r"sampling has no meaning without a random axis"):
+        load_scenario(write(tmp_path, SCALAR, ("[[figures]]", f"{axis}[[figures]]")))
+
+
+def test_a_norm_over_different_units_is_named(tmp_path: Path) -> None:
+    plant = with_units(tmp_path, "StrictFeedbackPlant", {"x[1]": "m", "x[2]": "K"})
+    file = tmp_path / "s.toml"
+    file.write_text(
+        f'title = "s"\nopen = ["p.u"]\n[components.p]\nfmu = "{plant}"\n'
+        "[experiment]\nstop_time = 1\nstep = 0.1\n"
+        '[metrics]\nboth = {metric = "peak", of = "p.x"}\none = {metric = "peak", of = "p.x[1]"}\n',
+        encoding="utf-8",
+    )
+    (line,) = load_scenario(file).warnings
+    assert line.startswith(f"{file}: metrics.both: 'p.x' has elements in 'K', 'm', whose norm")
+
+
+@pytest.mark.parametrize(("unit", "announces"), [("s", True), ("", True), ("ms", False)])
+def test_announcements_are_in_seconds(tmp_path: Path, unit: str, announces: bool) -> None:
+    file = scenario_with(tmp_path, {"next_event": unit})
+    scenario = load_scenario(file)
+    line = f"{file}: 'plant.next_event' is in 'ms', not in 's'; it is not taken for"
+    assert [w.startswith(line) for w in scenario.warnings] == [True] * (not announces)
+    plant = scenario.system.resolve().members[0]
+    assert plant.name == "plant"
+    assert (plant.description.announcement is not None) is announces

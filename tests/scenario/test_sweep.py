@@ -420,3 +420,10 @@ def test_a_draw_that_an_experiment_cannot_have_is_told_with_its_axis(tmp_path: P
 
 def test_every_distribution_is_tested() -> None:
     assert set(DISTRIBUTIONS) == {"uniform", "log_uniform", "normal", "integers"}
+
+
+@pytest.mark.filterwarnings("error")
+def test_spaced_values_past_the_largest_number_are_refused_in_one_line(tmp_path: Path) -> None:
+    axis = '\n[sweep]\n[[sweep.axes]]\nset = "plant.x0"\nlinspace = [-1e308, 1e308, 3]\n'
+    with pytest.raises(InvalidInput, match=r"nan|inf|finite"):
+        load_scenario(write(tmp_path, SCALAR + axis))

@@ -13,11 +13,13 @@ from pathlib import Path
 
 import pytest
 
+from congelation.errors import CongelationError
 from congelation.results.record import Outcome
 from congelation.scenario.load import load_scenario
 from congelation.sweep.execute import Job, Task
 from congelation.sweep.local import Local
 from congelation.sweep.plan import plan_study
+from congelation.sweep.process import WorkerProcess
 from congelation.sweep.workers import Finished, Lost, Progress, Unfinished
 from tests.scenarios import write
 from tests.studies import is_alive
@@ -106,3 +108,50 @@ def test_a_worker_that_is_killed_between_runs_is_replaced(job: Job) -> None:
         other = int(ended(workers, "pid")["0"].outcome.message)
     assert other != pid
     assert not is_alive(other)
+
+
+def test_a_worker_that_is_stopped_between_runs_is_replaced(
+    job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by SIGSTOP; the time limit ends it, and the run that it would have done is done."""
+    monkeypatch.setattr(sys.modules[Local.__module__], "GRACE", 0.5)
+    workers = Local(1, stub)  # type: ignore[arg-type]
+    with workers.running(job):
+        pid = int(ended(workers, "pid")["0"].outcome.message)
+        os.kill(pid, signal.SIGSTOP)
+        assert ended(workers, "a")["0"].outcome.message == "a"
+    assert not is_alive(pid)
+
+
+def printing(
+    job: Job, task: Task, pool: object, progress: Callable[[float], None]
+) -> tuple[Outcome, bytes | None]:
+    """As an FMU may print: not by Python's own stream."""
+    os.write(1, b"said by an FMU")
+    return Outcome("COMPLETED", task.variant), None
+
+
+def test_what_fmus_print_stays_out_of_the_output(
+    job: Job, capfd: pytest.CaptureFixture[str]
+) -> None:
+    workers = Local(1, printing)  # type: ignore[arg-type]
+    with workers.running(job):
+        ended(workers, "a")
+    out, err = capfd.readouterr()
+    assert out == ""
+    assert "said by an FMU" in err
+
+
+def test_a_worker_that_cannot_be_started_is_one_line(
+    job: Job, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(process: object) -> None:
+        raise OSError(27, "File too large")
+
+    monkeypatch.setattr(WorkerProcess, "start", refuse)
+    workers = Local(1, stub)  # type: ignore[arg-type]
+    with (
+        pytest.raises(CongelationError, match=r"worker process cannot be started: .*too large"),
+        workers.running(job),
+    ):
+        ended(workers, "a")

@@ -15,6 +15,7 @@ from congelation.results.record import Trajectory
 from congelation.scenario.load import load_scenario
 from congelation.sweep.engine import run
 from congelation.verify.reference import LARGEST_DEVIATION, Deviation, compare, reference
+from tests.cosim.test_units import with_units
 from tests.scenarios import FMUS, ROOT, SCALAR, write
 from tests.studies import done
 
@@ -179,3 +180,12 @@ def test_the_deviations_are_stored(tmp_path: Path) -> None:
     for found in run(write(tmp_path), out=tmp_path / "out", verify=True).runs:
         assert list(found.deviations) == ["plant.x", "controller.theta_hat[1]", "controller.u"]
         assert max(found.deviations.values()) < LARGEST_DEVIATION
+
+
+def test_a_loop_that_converts_units_has_no_reference(tmp_path: Path) -> None:
+    plant = with_units(tmp_path, "ScalarPlant", {"x": "mm", "der(x)": "mm/s"})
+    controller = with_units(tmp_path, "ScalarController", {"x": "m", "der(x)": "m/s"})
+    changes = [(f"{FMUS}/{fmu.name}", str(fmu)) for fmu in (plant, controller)]
+    scenario = load_scenario(write(tmp_path, SCALAR, *changes))
+    with pytest.raises(InvalidInput, match=r"'plant\.x -> controller\.x' converts units"):
+        reference(scenario.case(scenario.variants[0].settings))
