@@ -6,6 +6,7 @@ figures; the tables of the reference are written from the code by `generate.py`.
 
 from __future__ import annotations
 
+import re
 import sys
 from pathlib import Path
 
@@ -85,9 +86,23 @@ def widths(app: Sphinx, document: nodes.document, page: str) -> None:
             entry["classes"].append("short")
 
 
+def options(app: Sphinx, page: str, template: str, context: dict, document: object) -> None:  # type: ignore[type-arg]
+    """Mark the options in code, which a browser breaks after the two hyphens, to be kept whole."""
+    if "body" not in context:  # a page without a text, such as the search
+        return
+    body = context["body"].replace('<span class="pre">--', '<span class="pre option">--')
+    context["body"] = re.sub(
+        r"<pre>.*?</pre>",
+        lambda block: re.sub(r"(?<=\s)--[a-z-]+", r'<span class="option">\g<0></span>', block[0]),
+        body,
+        flags=re.DOTALL,
+    )
+
+
 def setup(app: Sphinx) -> None:
     """Write the generated pages before Sphinx looks for pages."""
     app.add_html_math_renderer("mathml", (formula, None), (formula, None))
     app.connect("doctree-resolved", widths)
+    app.connect("html-page-context", options)
     app.connect("config-inited", lambda app, config: write_reference(HERE / "generated"))
     app.connect("config-inited", lambda app, config: write_notebooks(HERE))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -157,7 +158,7 @@ def run(
                 if line is not None:
                     print(f"{record.variant}: {line}")
         print_figures(results)
-        print(results.store.index)
+        _say_where(results)
     complaints = [*_complaints(records)]
     for complaint in complaints:
         complain(complaint)
@@ -231,7 +232,7 @@ def sweep(
         print_json([record.row() for record in results.runs])
     else:
         print_summary(results)
-        print(results.store.index)
+        _say_where(results)
     for name in without_effect(results.study()):
         complain(f"warning: {name} makes no difference: its values give the same metrics")
     if _complain_of_failures(results.runs):
@@ -296,6 +297,12 @@ def _load(file: Path, *, strict: bool, experiment: Mapping[str, object] | None =
     for warning in warnings:
         complain(f"warning: {warning}")
     return scenario
+
+
+def _say_where(results: Results) -> None:
+    """Print where the results are, and the command that shows them."""
+    print(results.store.index)
+    print(f"to look at them: congelation open {shlex.quote(str(results.folder))}")
 
 
 def _carried_out(plan: Plan, workers: Workers, form: Form) -> Results:

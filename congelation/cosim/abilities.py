@@ -17,6 +17,8 @@ __all__ = [
     "LENGTHS",
     "REFUSED_LENGTH",
     "REFUSED_STATE",
+    "REPEATED",
+    "ROUNDING",
     "SLOPES",
     "STATES",
     "Abilities",

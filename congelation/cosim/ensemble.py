@@ -203,7 +203,7 @@ class Ensemble:
             if event is not None and (part.plain.pop(EVENT, None) is not None or events):
                 part.plain[EVENT] = event
         keys = [(m, name) for m, part in enumerate(parts) for name in part.names]
-        self._names = [f"{members[m].name}.{name}" for m, name in keys]
+        self.read_names = [f"{members[m].name}.{name}" for m, name in keys]
         self._place = {key: place for place, key in enumerate(keys)}
         self.Y: Floats = np.zeros(len(keys))
         self.read_calls = [bool(part.plain) + bool(part.ranked) for part in parts]
@@ -266,7 +266,7 @@ class Ensemble:
         for k, value in enumerate(self.Y.tolist()):
             if k in self.events:
                 continue
-            where = f"{self._names[k]} at t = {time:.9g}"
+            where = f"{self.read_names[k]} at t = {time:.9g}"
             if not math.isfinite(value):
                 raise RunEnded(Status.NON_FINITE, f"{where} is {value}")
             if abs(value) > LARGEST_VALUE:
@@ -480,6 +480,12 @@ class Ensemble:
         if self.level not in self._states:
             self._states[self.level] = [(slave, slave.state_handle()) for slave in self.slaves]
         return [state for _, state in self._states[self.level]]
+
+    def forget_states(self) -> None:
+        """Free what was saved."""
+        self._states.clear()
+        for slave in self.slaves:
+            slave.free_states()
 
     def restore(self) -> None:
         """Take all slaves back to the saved states."""

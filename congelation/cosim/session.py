@@ -99,6 +99,8 @@ class Session:
         Steps that were kept although their error was above the tolerance.
     missed : int
         Steps within which a discrete value changed, and that could not be shortened to where.
+    repeats : bool
+        Whether steps of given length are made again from saved states.
     takes_back : bool
         Whether all FMUs can save their state, so that a step can be taken back.
     """
@@ -125,6 +127,7 @@ class Session:
         self._coupling = coupling
         self._tolerance = tolerance
         self._max_steps = math.inf if max_steps is None else max_steps
+        self.repeats = coupling.rolls_back
         self.takes_back = all(m.description.can_get_and_set_state for m in ensemble.system.members)
         # A point on a jump makes a step of another length.
         self.lands = coupling.lands_on_events and all(

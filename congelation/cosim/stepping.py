@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from congelation.cosim.abilities import REPEATED, ROUNDING
 from congelation.cosim.compiled import (
     DONE,
     FULL,
@@ -32,6 +33,7 @@ from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session, just_before
 from congelation.cosim.step_control import Halving, Pace, StepSize, halved, is_floor
+from congelation.errors import SlaveError
 from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
 __all__ = ["run_adaptive", "run_fixed"]
@@ -73,6 +75,10 @@ MOST_IN_A_ROW = 8
 """Located changes of discrete values in so many steps, one right after the other, from which on
 they are not located: such a value does not stay constant between events."""
 
+TRIED = 1e-3
+"""Length, as a part of the horizon, of the step that is made twice to see whether states are
+restored."""
+
 SMALLEST_STEP = 16.0
 """Smallest step, in units in the last place of the time: time does not resolve a shorter one."""
 
@@ -96,6 +102,9 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
     """
     near, advance, record = points.near, session.stepper.advance, session.record
     event = session.next_event(session.start)
+    if session.repeats and len(ends := points.after(0, 1)):
+        first = min(float(ends[0]), just_before(event)) - session.start
+        _require_restored(session, state, first)
     compiled = _compiled(session, None)
     time, k = session.start, 0
     while len(ends := points.after(k, session.most)):
@@ -198,6 +207,7 @@ def run_adaptive(
     sent = ensemble.discrete_values() if switches else []
     longest = _longest(session, tolerance) if switches else math.inf
     streak = 0
+    _require_restored(session, state, min(TRIED * horizon, (event - time) / 4.0))
     compiled = _compiled(session, tolerance)
     assert not isinstance(compiled, CompiledHeld)  # which takes no tolerance
     while time < session.stop:
@@ -317,6 +327,59 @@ def _longest(session: Session, tolerance: float) -> float:
 def _shortest_kept(session: Session, tolerance: float) -> float:
     """Longest step, in seconds, that is kept whatever its error."""
     return max(SHORTEST_KEPT, KEPT_SHARE * tolerance) * (session.stop - session.start)
+
+
+def _require_restored(session: Session, state: Any, length: float) -> None:
+    """Make a first step of about `length` twice, where steps are to be taken back: an FMU that does
+    not restore its state would go on from elsewhere, and no number would tell. Looked at once in a
+    process for each FMU; nothing of it counts.
+
+    Raises
+    ------
+    SlaveError
+        The second one ends elsewhere than the first, by more than a share of what that changed.
+    """
+    ensemble, stepper = session.ensemble, session.stepper
+    hashes = {member.description.sha256 for member in ensemble.system.members}
+    if not session.takes_back or hashes <= _RESTORED:
+        return
+    assert isinstance(stepper, AdaptiveStepper)
+    counts = ensemble.calls, stepper.iterations, [slave.log.warnings for slave in ensemble.slaves]
+    before, ends = ensemble.Y.copy(), []
+    ensemble.save()
+    try:
+        for _ in range(2):
+            stepper.attempt(state, session.start, session.start + length)
+            ends.append(ensemble.Y.copy())
+            ensemble.restore()
+            ensemble.Y[:] = before
+    except (RunEnded, StepDiscarded, SlaveTerminated):
+        ensemble.restore()  # the run will say what it is, or take a shorter step
+        ensemble.Y[:] = before
+    ensemble.forget_states()
+    ensemble.calls, stepper.iterations = counts[:2]
+    for slave, warnings in zip(ensemble.slaves, counts[2], strict=True):
+        slave.log.warnings = warnings
+    if len(ends) < 2:
+        return
+    first, again = ends
+    off, change = np.abs(again - first), np.abs(first - before)
+    wrong = off > np.maximum(REPEATED * change, ROUNDING * (1.0 + np.abs(first)))
+    if wrong.any():
+        place = int(wrong.argmax())
+        name, _, variable = ensemble.read_names[place].partition(".")
+        raise SlaveError(
+            name,
+            session.start,
+            "it declares states that can be saved and restored, but a step from a restored one "
+            f"ends with {variable} = {again[place]:.6g} in place of {first[place]:.6g}; coupling "
+            "'auto' does without",
+        )
+    _RESTORED.update(hashes)
+
+
+_RESTORED: set[str] = set()
+"""Hashes of the FMUs whose states were found to be restored."""
 
 
 def _compiled(

@@ -27,6 +27,8 @@ def test_run_and_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     for text in ("wall time [s]", "macro steps", "error of plant.x / peak", "never"):
         assert text in done.stdout
     assert "100%" in done.stderr
+    last = done.stdout.splitlines()[-1]
+    assert last == f"to look at them: congelation open {Path('results', 'loop')}"
     assert sorted(str(p.relative_to(out)) for p in out.glob("figures/*")) == [
         "figures/loop.pdf",
         "figures/loop.png",

@@ -6,7 +6,7 @@ import pytest
 
 from congelation.cosim import Component, Connection, Output, Status, System, simulate, stepping
 
-from .c_fmus import signals_fmu
+from .c_fmus import SOURCES, plain_fmu, signals_fmu
 
 TOLERANCE = 1e-4
 
@@ -135,3 +135,30 @@ def test_states_without_the_time_are_told_from_steps_of_one_length(fmu):
     ) in result.choice
     exact = (np.exp(-1.0) + np.sin(1.0) - np.cos(1.0)) / 2.0
     assert result.values[-1, 0] == pytest.approx(exact, abs=10.0 * TOLERANCE)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"tolerance": TOLERANCE, "coupling": "derivative"},
+        {"tolerance": TOLERANCE, "coupling": "hermite"},
+        {"step": 0.1, "coupling": "hermite"},
+    ],
+)
+def test_states_that_are_not_restored_end_the_run_of_a_coupling_that_needs_them(tmp_path, options):
+    """x' = y, y' = x, from FMUs whose fmi2SetFMUstate does nothing."""
+    rest = (SOURCES / "rest.h").read_text()
+    (tmp_path / "rest.h").write_text(rest.replace("memcpy(c, state, sizeof(Model));", ""))
+    (tmp_path / "plain.c").write_text((SOURCES / "plain.c").read_text())
+    forgetful = plain_fmu(tmp_path, declares=True, source=tmp_path / "plain.c")
+    start = {"b1": 1.0, "x0": 1.0}
+    loop = System(
+        (Component("a", forgetful, start), Component("b", forgetful, start)),
+        (Connection("a.y", "b.u1"), Connection("b.y", "a.u1")),
+    )
+    result = simulate(loop, stop_time=1.0, **options)
+    assert result.status is Status.SLAVE_FAILED
+    assert "a at t = 0: it declares states that can be saved and restored, but" in result.message
+    chosen = simulate(loop, stop_time=1.0, tolerance=TOLERANCE, record=["a.y"])
+    assert chosen.completed
+    assert chosen.values[-1, 0] == pytest.approx(np.e, rel=1e-2)
