@@ -379,8 +379,8 @@ def _links(
             converted.factor,
             converted.offset,
             converted.doubt
-            or members[source].description.misfit(output)
-            or members[target].description.misfit(input_),
+            or _misfit(members[source].description, output, 1)
+            or _misfit(members[target].description, input_, MAX_DERIVATIVE),
         )
 
 
@@ -455,6 +455,12 @@ def _derivatives(
 ) -> tuple[Variable | None, ...]:
     orders = range(1, MAX_DERIVATIVE + 1)
     return tuple(description.derivative(variable, causality, order) for order in orders)
+
+
+def _misfit(description: Description, variable: Variable, most: int) -> str:
+    """Which of the derivatives up to an order is in a wrong unit; empty if none is."""
+    told = (description.misfit(variable, order) for order in range(1, most + 1))
+    return next(filter(None, told), "")
 
 
 def _without_implied(links: Sequence[Link]) -> list[Link]:
