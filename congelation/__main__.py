@@ -27,12 +27,18 @@ def main() -> None:
     signal.signal(signal.SIGINT, before)
     for number in _ENDING:  # how schedulers and closed terminals end a job: like Ctrl-C
         if signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, signal.default_int_handler)
+            signal.signal(number, _interrupt)
     try:
         command()
     finally:
         # The last search for garbage takes a quarter of a second, and frees what ends anyway.
         gc.freeze()
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    """Do as at Ctrl-C, also where that is ignored; it is held back where that is."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    signal.raise_signal(signal.SIGINT)
 
 
 def _end(number: int, frame: FrameType | None) -> None:

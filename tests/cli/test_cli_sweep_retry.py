@@ -20,13 +20,13 @@ pytestmark = [pytest.mark.slow, pytest.mark.workers]
 # Of each variant one run is done at once, and one hangs in its metric while a file exists.
 UNEVEN = """
 [sweep]
-timeout = 3
+timeout = 8
 trajectories = true
 [[sweep.axes]]
 set = "experiment.stop_time"
 values = [0.1, 1.0]
 """
-LONGER = ("timeout = 3", "timeout = 600")
+LONGER = ("timeout = 8", "timeout = 600")
 
 SLOW = """
 import os, pathlib, time
