@@ -264,9 +264,14 @@ def export_ssp(
     ] = False,
 ) -> None:
     """Write a scenario as a system that other tools can open: SSP 1.0 with the FMUs inside."""
-    write_ssp(
-        load_scenario(scenario), file, variant, derivatives=derivatives, step=step, native=native
-    )
+    loaded = load_scenario(scenario)
+    write_ssp(loaded, file, variant, derivatives=derivatives, step=step, native=native)
+    chosen = next(one for one in loaded.variants if variant in (None, one.name))
+    if step is None and loaded.case(chosen.settings).experiment.tolerance is not None:
+        complain(
+            "the archive states no step for other tools, as the scenario has a tolerance; --step "
+            "gives one"
+        )
     print(file)
 
 

@@ -74,6 +74,11 @@ class FmuInfo:
             f"  FMI 2.0 co-simulation, written by {self.tool or 'an unnamed tool'}; "
             + ", ".join(abilities),
         ]
+        if self.tool.startswith("congelation") and "PythonFMU" in self.tool:
+            lines.append(
+                "  its host needs a Python 3.9 or newer; "
+                "`congelation build SPEC --native` makes an FMU that does not"
+            )
         for title, group in (
             ("inputs to connect", self.connect),
             ("inputs to leave alone, unless their source is known (0: no effect)", self.leave),

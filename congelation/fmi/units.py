@@ -65,6 +65,31 @@ _DERIVED: dict[str, tuple[float, dict[str, int]]] = {
 _FACTOR = re.compile(r"([A-Za-z]+|1)(-?\d{1,2})?")
 
 
+_SPELLED_OUT = {
+    "kelvin": "K",
+    "celsius": "degC",
+    "fahrenheit": "degF",
+    "°c": "degC",
+    "°f": "degF",
+    "second": "s",
+    "sec": "s",
+    "hour": "h",
+    "metre": "m",
+    "meter": "m",
+    "gram": "g",
+    "ampere": "A",
+    "amp": "A",
+    "radian": "rad",
+    "degree": "deg",
+    "newton": "N",
+    "joule": "J",
+    "watt": "W",
+    "volt": "V",
+    "hertz": "Hz",
+    "pascal": "Pa",
+}
+"""Words for units, with their symbols, for messages."""
+
 _WITH_OFFSET = {"degC": (1.0, 273.15), "degF": (5.0 / 9.0, 459.67 * 5.0 / 9.0)}
 """Factor and offset of temperatures to kelvin; they form no products."""
 
@@ -224,12 +249,16 @@ def factors(unit: str) -> dict[str, int]:
         for name in part.split("."):
             match = _FACTOR.fullmatch(name)
             if match is None or match.group(1) not in _DERIVED:
-                if match is not None and match.group(1) in _WITH_OFFSET:
+                symbol = match.group(1) if match is not None else name
+                word = symbol.casefold()
+                symbol = _SPELLED_OUT.get(word, _SPELLED_OUT.get(word.removesuffix("s"), symbol))
+                if symbol in _WITH_OFFSET:
                     raise InvalidInput(
-                        f"unit '{unit}': '{match.group(1)}' has an offset and cannot stand in a "
-                        "linear equation or a product; give 'K'"
+                        f"unit '{unit}': '{symbol}' has an offset and cannot stand in a linear "
+                        "equation or a product; give 'K'"
                     )
-                raise InvalidInput(f"unit '{unit}': '{name}' is no unit; {nearest(name, _DERIVED)}")
+                remedy = f"give '{symbol}'" if symbol in _DERIVED else nearest(name, _DERIVED)
+                raise InvalidInput(f"unit '{unit}': '{name}' is no unit; {remedy}")
             powers[match.group(1)] += (-1 if place else 1) * int(match.group(2) or 1)
     return {name: power for name, power in powers.items() if power and name != "1"}
 

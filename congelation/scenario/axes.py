@@ -278,13 +278,12 @@ class Sweep:
                 axis["variants"] = list(names)
         table: dict[str, object] = {
             "axes": axes,
-            "sampling": self.sampling,
             "seed": self.seed,
             "trajectories": self.trajectories,
             "constraints": [constraint.text for constraint in self.constraints],
         }
         if self.axes:
-            table["samples"] = self.samples
+            table |= {"samples": self.samples, "sampling": self.sampling}
         if self.timeout is not None:
             table["timeout"] = self.timeout
         if self.replicates is not None:

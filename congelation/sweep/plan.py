@@ -357,7 +357,8 @@ class _Identity:
     def plan(self, swept: bool) -> str:
         """Hash of all that the numbers and run_ids of a plan follow from."""
         sweep = _sweep(self._scenario)
-        table = sweep.document() if swept else {}
+        # The document of a grid has no sampling; the hashes of finished studies have it.
+        table = {"sampling": sweep.sampling, **sweep.document()} if swept else {}
         content = {
             "base": self._base.hexdigest(),
             "variants": [[v.name, self._content(v.settings)] for v in self._scenario.variants],

@@ -27,6 +27,8 @@ def test_one_fmu() -> None:
     text = str(found)
     for part in ("ScalarController.fmu: ", "inputs to connect", "leave alone", "epsilon"):
         assert part in text
+    assert "its host needs a Python 3.9 or newer; `congelation build SPEC --native`" in text
+    assert "needs a Python" not in str(info(FMUS / "native" / "ScalarController.fmu"))
 
 
 def test_the_disturbance_of_a_plant_is_left_alone() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tomllib
+
 import pytest
 
 from congelation.errors import InvalidInput
@@ -40,6 +42,10 @@ def test_a_starter_builds_holds_and_loads(tmp_path):
     scenario = load_scenario(folder / "scenario.toml")
     assert scenario.title == "wing_flap"
     assert scenario.sweep is not None
+    # For a spec of another order the scenario needs no change, for states of several units neither.
+    text = (folder / "scenario.toml").read_text("utf-8")
+    assert tomllib.loads(text)["components"]["plant"] == {"fmu": "WingFlapPlant"}
+    assert not scenario.warnings
 
 
 @pytest.mark.parametrize("name", ["2nd", "a-b", "", "a/b", "ä"])

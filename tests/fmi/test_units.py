@@ -59,3 +59,20 @@ def test_units_and_sizes_that_are_none_convert_and_weigh_nothing(tmp_path: Path)
 def test_a_unit_with_an_offset_stands_in_no_product():
     with pytest.raises(InvalidInput, match=r"'degC' has an offset .*; give 'K'"):
         base_unit("degC/s")
+
+
+@pytest.mark.parametrize(
+    ("unit", "told"),
+    [
+        ("Kelvin", "'Kelvin' is no unit; give 'K'"),
+        ("kelvins/s", "'kelvins' is no unit; give 'K'"),
+        ("Celsius", "'degC' has an offset .*; give 'K'"),
+        ("°C", "'degC' has an offset .*; give 'K'"),
+        ("degF", "'degF' has an offset .*; give 'K'"),
+        ("Meter/sec", "'Meter' is no unit; give 'm'"),
+        ("radd", "'radd' is no unit; did you mean 'rad'"),
+    ],
+)
+def test_units_in_words_are_answered_with_their_symbol(unit, told):
+    with pytest.raises(InvalidInput, match=told):
+        base_unit(unit)

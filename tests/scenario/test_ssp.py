@@ -617,6 +617,26 @@ def test_the_commands(tmp_path: Path) -> None:
     assert line.startswith("congelation: absent.ssp: no such file")
 
 
+def test_a_scenario_with_a_sweep_and_a_tolerance(tmp_path: Path) -> None:
+    """One variant of it is exported, whatever the axes are of; a tolerance is no step."""
+    axis = """
+[[sweep.axes]]
+set = "controller.epsilon"
+values = [0.7, 1.0]
+variants = ["Controller 2"]
+"""
+    write(tmp_path, SCALAR + axis, ("step = 0.01", "tolerance = 1e-6"))
+    done = congelation("export-ssp", "loop.toml", "sweep.ssp", cwd=tmp_path)
+    assert (done.returncode, done.stdout) == (0, "sweep.ssp\n"), done.stderr
+    assert done.stderr == (
+        "congelation: the archive states no step for other tools, as the scenario has a "
+        "tolerance; --step gives one\n"
+    )
+    assert read_ssp(tmp_path / "sweep.ssp").sweep is None
+    done = congelation("export-ssp", "loop.toml", "sweep.ssp", "--step", "1e-3", cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_native_fmus_take_the_place_of_those_of_the_scenario(tmp_path: Path) -> None:
     write(tmp_path)
     done = congelation("export-ssp", "loop.toml", "native.ssp", "--native", cwd=tmp_path)

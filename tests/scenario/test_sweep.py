@@ -15,7 +15,7 @@ from congelation.results.record import Outcome
 from congelation.scenario.axes import DISTRIBUTIONS, SAMPLINGS, RandomAxis, Sweep
 from congelation.scenario.load import load_scenario
 from congelation.sweep.plan import plan_study
-from tests.scenarios import SCALAR, write
+from tests.scenarios import ROOT, SCALAR, write
 
 SWEEP = """
 [sweep]
@@ -146,6 +146,11 @@ def test_an_axis_may_be_of_some_variants(tmp_path: Path) -> None:
     composed = replace(scenario, file=None, text="").sweep  # read again, from its own document
     assert composed is not None
     assert composed.document() == scenario.sweep.document()
+
+
+def test_a_grid_is_read_again_from_its_own_document() -> None:
+    scenario = load_scenario(ROOT / "scenarios" / "study_rate.toml")
+    assert replace(scenario, title="Another").sweep == scenario.sweep
 
 
 @pytest.mark.parametrize(

@@ -316,7 +316,8 @@ def _annotate_step(
 
 def _beyond_ssp(scenario: Scenario, variant: Variant, experiment: Experiment) -> dict[str, object]:
     """The tables of the scenario file that have no place in SSP 1.0."""
-    said = replace(scenario, experiment=experiment, variants=(Variant(variant.name),)).document()
+    alone = replace(scenario, experiment=experiment, variants=(Variant(variant.name),), sweep=None)
+    said = alone.document()
     return {key: said[key] for key in ("title", "variants", "experiment", "metrics", "figures")}
 
 
