@@ -26,6 +26,9 @@ __all__ = ["study_verdict"]
 _TREND = 1.5
 """Of settling times the largest and the least, from which on their course is worth telling."""
 
+_FAR = 3.0
+"""The same, from which on it is told at which settings the two are."""
+
 
 def study_verdict(study: Study) -> Iterator[str]:
     """Sentences on a sweep: how many runs settle, up to where on each axis, and at what price."""
@@ -76,7 +79,8 @@ def _times(
 ) -> str:
     """After what time runs settle that all do; empty where that was not measured.
 
-    Where the time follows the only axis, growing or falling, both of its ends are told.
+    Where the time follows the only axis, growing or falling, both of its ends are told; else,
+    where the extremes are far apart, at which settings they are.
     """
     name = metric_of_kind(study, "settling_time")
     if not name:
@@ -99,7 +103,19 @@ def _times(
                 f", after {number(medians[0])} s at {short[axis]} = {number(values[0])}{unit} and "
                 f"after {number(medians[-1])} s at {number(values[-1])}{unit}"
             )
-    return f", after {middle} s" + (f" (median; {low} to {high} s)" if low != high else "")
+    if low == high:
+        return f", after {middle} s"
+    ends = [f"{low}", f"{high} s"]
+    if axes and times[-1] >= _FAR * times[0]:
+        for k, extreme in enumerate((min, max)):
+            run = extreme(runs, key=lambda r: r.metrics[name] or 0.0)
+            where = [
+                f"{short[axis]} = {number(run.settings[axis])}{unit_of(study, axis)}"
+                for axis in axes
+                if run.settings.get(axis) is not None
+            ]
+            ends[k] = f"{(low, high)[k]} s at {listed(where)}" if where else ends[k]
+    return f", after {middle} s (median; {' to '.join(ends)})"
 
 
 def _extremes(study: Study, variants: Mapping[str, Sequence[RunRecord]]) -> Iterator[str]:

@@ -28,6 +28,9 @@ LISTED = 4
 DEAR = 1.05
 """A peak of |u| that is larger than the least by less than 5 % is no price."""
 
+_STOP_TIME = "experiment.stop_time"
+"""The stop time as a setting that varies in a study."""
+
 
 def settled(study: Study, run: RunRecord) -> bool:
     """Whether a run reached its stop time and, where that was measured, x settled."""
@@ -148,14 +151,28 @@ def prices(
 
 
 def settling_rule(study: Study) -> str:
-    """What it means here that a run settles; empty where that was not measured."""
+    """What it means here that a run settles, until what time; empty where that was not measured."""
     name = metric_of_kind(study, "settling_time")
     if not name:
         return ""
     about = study.about["metrics"][name]
     below = about.get("options", {}).get("below")
     limit = f"below {below:g}" if below is not None else "small"
-    return f"A run settles when |{about['of']}| stays {limit} until the stop time."
+    stops = sorted(
+        stop
+        for run in study.records
+        # A directory of an earlier version does not say it.
+        if (stop := run.settings.get(_STOP_TIME, study.about.get("stop_time"))) is not None
+    )
+    until = "the stop time"
+    if stops:
+        low, high = number(stops[0]), number(stops[-1])
+        until = f"the stop time, {low} s" if low == high else f"its stop time, {low} to {high} s"
+    open_end = any(
+        r.status == "COMPLETED" and r.metrics.get(name) == math.inf for r in study.records
+    )
+    later = "; the others may settle later" if open_end else ""
+    return f"A run settles when |{about['of']}| stays {limit} until {until}{later}."
 
 
 def metric_of_kind(study: Study, kind: str) -> str | None:

@@ -34,6 +34,7 @@ def about(
         "title": scenario.title,
         "scenario_file": scenario.file.name if scenario.file is not None else "",
         "scenario": scenario.text,
+        "stop_time": scenario.experiment.stop_time,
         "varied": list(varied),
         "axes": [list(names) for names in axes],
         "units": {name: unit for name in varied if (unit := _unit_of_setting(name, descriptions))},

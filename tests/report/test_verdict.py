@@ -10,7 +10,7 @@ import numpy as np
 
 from congelation.report.axes import axes_of, short_names
 from congelation.report.study_verdict import study_verdict
-from congelation.report.verdict import run_verdict
+from congelation.report.verdict import run_verdict, settling_rule
 from congelation.results.record import RunRecord, Study
 from congelation.scenario.load import load_scenario
 from congelation.sweep.plan import plan_study
@@ -76,7 +76,10 @@ def test_a_study_tells_what_is_dear_what_is_cheap_and_what_costs_the_same() -> N
 
 
 def test_settling_that_follows_the_axis_is_told_by_its_ends() -> None:
-    """That of A grows, that of B falls, that of C does neither, that of D hardly changes."""
+    """That of A grows, that of B falls, that of C does neither, that of D hardly changes.
+
+    Where it does neither, it is told at which settings it is least and largest.
+    """
     times = {
         "A": (1.0, 2.0, 4.0),
         "B": (9.0, 3.0, 3.01),
@@ -87,9 +90,27 @@ def test_settling_that_follows_the_axis_is_told_by_its_ends() -> None:
     assert list(study_verdict(found))[:4] == [
         "A settles in all 3 runs, after 1 s at omega = 1 rad/s and after 4 s at 100 rad/s.",
         "B settles in all 3 runs, after 9 s at omega = 1 rad/s and after 3.01 s at 100 rad/s.",
-        "C settles in all 3 runs, after 3 s (median; 2 to 9 s).",
+        "C settles in all 3 runs, after 3 s (median; 2 s at omega = 1 rad/s to "
+        "9 s at omega = 10 rad/s).",
         "D settles in all 3 runs, after 1.1 s (median; 1 to 1.2 s).",
     ]
+
+
+def test_the_rule_of_settling_names_the_stop_time() -> None:
+    """What has not settled by then may settle later; a run that failed is none of these."""
+    said = "A run settles when |plant.x| stays small until"
+    both = variants({"A": (1.0, 10.0), "B": (math.inf, 10.0)})
+    assert settling_rule(study(both, stop_time=12.0)) == (
+        f"{said} the stop time, 12 s; the others may settle later."
+    )
+    assert settling_rule(study(both[:1], stop_time=12.0)) == f"{said} the stop time, 12 s."
+    failed = record("f", 2, metrics={"settling_x": math.inf}, status="DIVERGED")
+    assert settling_rule(study([both[0], failed])) == f"{said} the stop time."  # not stored earlier
+    varied = [
+        record(f"r{t}", 1, settings={"experiment.stop_time": t}, metrics={"settling_x": 1.0})
+        for t in (30.0, 400.0)
+    ]
+    assert settling_rule(study(varied, stop_time=30.0)) == f"{said} its stop time, 30 to 400 s."
 
 
 def test_of_many_variants_the_first_and_the_last_to_settle_are_named() -> None:
