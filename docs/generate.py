@@ -298,7 +298,7 @@ def fmu_index(paths: Sequence[Path]) -> list[str]:
     return [
         "# The FMUs, one by one",
         "",
-        "Those of the paper's examples, as `make fmus` builds them. For an FMU of your own "
+        "Those that `make fmus` builds: the paper's examples, plants with cited numbers, and blocks to put between them. For an FMU of your own "
         "`congelation info FILE.fmu` prints the same.",
         "",
         *table(["FMU", "what it is"], rows),
