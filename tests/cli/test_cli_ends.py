@@ -12,6 +12,7 @@ import sys
 import threading
 import time
 import zipfile
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -363,12 +364,19 @@ def test_a_closed_stdout_is_no_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_scheduler_ends_a_run_like_ctrl_c(tmp_path: Path, number: signal.Signals) -> None:
     long = write(tmp_path, SCALAR, ("stop_time = 1.0", "stop_time = 1e6"))
-    run = start("run", long, "--out", tmp_path / "out", "--progress", "json")
+    run = start(
+        "run", long, "--out", tmp_path / "out", "--progress", "json",
+        # What started the tests may ignore it, as nohup does SIGHUP, and processes inherit that.
+        preexec_fn=partial(signal.signal, number, signal.SIG_DFL),
+    )  # fmt: skip
     assert run.stdout is not None
     assert run.stderr is not None
     run.stderr.readline()  # it is under way
     os.kill(run.pid, number)
-    _, errors = run.communicate(timeout=60)
+    try:
+        _, errors = run.communicate(timeout=60)
+    finally:
+        run.kill()
     assert run.returncode == 130
     assert "Traceback" not in errors
     assert errors.splitlines()[-1] == "congelation: interrupted after 0 of 2 runs"
