@@ -298,8 +298,9 @@ def fmu_index(paths: Sequence[Path]) -> list[str]:
     return [
         "# The FMUs, one by one",
         "",
-        "Those that `make fmus` builds: the paper's examples, plants with cited numbers, and blocks to put between them. For an FMU of your own "
-        "`congelation info FILE.fmu` prints the same.",
+        "Those that `make fmus` builds: the paper's examples, plants with cited numbers, and "
+        "blocks to put between them. For an FMU of your own `congelation info FILE.fmu` prints the "
+        "same.",
         "",
         *table(["FMU", "what it is"], rows),
     ]
