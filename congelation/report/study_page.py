@@ -211,7 +211,7 @@ def _counts(
         return  # the verdict says so
     names = _axis_labels(study, axes)
     rows = variants
-    if len(variants) > FEW // 2:  # those are told apart that differ
+    if len(variants) > FEW // 2:  # only those that differ are named one by one
         rows = [
             variant
             for variant in variants

@@ -27,7 +27,7 @@ _TREND = 1.5
 """Of settling times the largest and the least, from which on their course is worth telling."""
 
 _FAR = 3.0
-"""The same, from which on it is told at which settings the two are."""
+"""The same ratio, from which on the settings of the two are named."""
 
 
 def study_verdict(study: Study) -> Iterator[str]:
@@ -79,7 +79,7 @@ def _times(
 ) -> str:
     """After what time runs settle that all do; empty where that was not measured.
 
-    Where the time follows the only axis, growing or falling, both of its ends are told; else,
+    Where the time follows the only axis, growing or falling, both of its ends are given; else,
     where the extremes are far apart, at which settings they are.
     """
     name = metric_of_kind(study, "settling_time")
