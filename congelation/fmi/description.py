@@ -64,6 +64,8 @@ class Variable:
         The range of a number; None where the FMU does not bound it.
     default : str
         The start value as the FMU states it, empty where it states none.
+    is_held : bool
+        Whether the value is constant between events, rather than following the time.
     """
 
     name: str
@@ -80,11 +82,7 @@ class Variable:
     least: float | None = None
     most: float | None = None
     default: str = ""
-
-    @property
-    def is_held(self) -> bool:
-        """Whether the value is constant between events, rather than following the time."""
-        return self.type != "Real" or self.variability != "continuous"
+    is_held: bool = False
 
     @cached_property
     def settable(self) -> bool:
@@ -324,13 +322,18 @@ def _described(
             "names must be unique (FMI 2.0, 2.2.7), see: congelation check --static"
         )
     relative = _relative_quantities(root)
+    # Some tools declare everything as discrete, positions and speeds too, which says nothing.
+    distinguishes = any(
+        v.type == "Real" and v.causality == "output" and v.variability == "continuous"
+        for v in model.modelVariables
+    )
     return Description(
         path=path,
         sha256=hashlib.sha256(path.read_bytes()).hexdigest(),
         model_identifier=simulation.modelIdentifier,
         guid=model.guid,
         variables=MappingProxyType(
-            {v.name: _variable(v, v.name in relative) for v in model.modelVariables}
+            {v.name: _variable(v, v.name in relative, distinguishes) for v in model.modelVariables}
         ),
         dependencies=MappingProxyType({u.variable.name: _names(u) for u in model.outputs}),
         can_get_and_set_state=simulation.canGetAndSetFMUstate,
@@ -431,7 +434,10 @@ def _bound(variable: fmpy.model_description.ModelVariable, name: str) -> float |
     return None if stated is None or variable.type == "Enumeration" else float(stated)
 
 
-def _variable(variable: fmpy.model_description.ModelVariable, relative: bool) -> Variable:
+def _variable(
+    variable: fmpy.model_description.ModelVariable, relative: bool, distinguishes: bool
+) -> Variable:
+    real = variable.type == "Real"
     return Variable(
         name=variable.name,
         reference=variable.valueReference,
@@ -446,6 +452,7 @@ def _variable(variable: fmpy.model_description.ModelVariable, relative: bool) ->
         least=_bound(variable, "min"),
         most=_bound(variable, "max"),
         default=str(variable.start or ""),
+        is_held=not real or (distinguishes and variable.variability != "continuous"),
         items=tuple(
             (item.name, int(item.value))
             for item in getattr(variable.declaredType, "items", None) or ()

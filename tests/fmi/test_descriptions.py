@@ -14,6 +14,7 @@ from congelation.fmi.description import Description, describe
 from congelation.fmi.library import Message
 from congelation.fmi.start_values import resolve_start
 from congelation.scenario.load import load_scenario
+from tests.scenarios import FMUS
 
 XML = """<fmiModelDescription fmiVersion="2.0" modelName="m" guid="{g}">
 <CoSimulation modelIdentifier="m"/>
@@ -173,3 +174,21 @@ def test_elements_that_count_from_0(tmp_path: Path) -> None:
 )
 def test_messages_are_one_line_that_no_terminal_obeys(text: str, line: str) -> None:
     assert Message(2, "", text).line == line
+
+
+@pytest.mark.parametrize("all_of_them", [False, True])
+def test_what_is_declared_discrete_throughout_is_continuous(
+    tmp_path: Path, all_of_them: bool
+) -> None:
+    """Some tools declare positions and speeds so; it says something where it is not of all."""
+    copy = tmp_path / "copy.fmu"
+    with zipfile.ZipFile(FMUS / "ScalarPlant.fmu") as given, zipfile.ZipFile(copy, "w") as made:
+        for name in given.namelist():
+            content = given.read(name)
+            if name == "modelDescription.xml":
+                old, new = b'variability="continuous"', b'variability="discrete"'
+                content = content.replace(old, new, -1 if all_of_them else 1)
+            made.writestr(name, content)
+    held = [v for v in describe(copy).variables.values() if v.variability == "discrete"]
+    assert held
+    assert {v.is_held for v in held} == {not all_of_them}
