@@ -78,7 +78,7 @@ def test_a_study_tells_what_is_dear_what_is_cheap_and_what_costs_the_same() -> N
 def test_settling_that_follows_the_axis_is_told_by_its_ends() -> None:
     """That of A grows, that of B falls, that of C does neither, that of D hardly changes.
 
-    Where it does neither, it is told at which settings it is least and largest.
+    Where it does neither, the settings of the least and the largest are named.
     """
     times = {
         "A": (1.0, 2.0, 4.0),
