@@ -104,4 +104,5 @@ def unpack_archive(file: Path, folder: Path, kind: str) -> None:
         with zipfile.ZipFile(file) as archive:
             archive.extractall(folder)
     except DAMAGED as error:
-        raise InvalidInput(f"{file} is not {kind}: {error}") from error
+        reason = str(error).replace(f"{folder}/", "")  # which the user has not chosen
+        raise InvalidInput(f"{file} is not {kind}, or cannot be unpacked: {reason}") from error

@@ -13,7 +13,7 @@ from congelation import keys
 from congelation.cosim.system import Component, Connection, Recorded, ResolvedSystem, System
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.description import EVENT, describe
-from congelation.scenario.metrics import metric
+from congelation.scenario.metrics import Metric, metric
 from congelation.scenario.parts import (
     EXPERIMENT,
     Experiment,
@@ -23,7 +23,7 @@ from congelation.scenario.parts import (
     agreed,
 )
 from congelation.scenario.read_sweep import read_sweep
-from congelation.scenario.settings import SettingsReader, component_values
+from congelation.scenario.settings import SettingsReader, component_values, in_own_unit
 from congelation.toml import Section
 
 __all__ = ["read_scenario"]
@@ -48,7 +48,7 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
     except InvalidInput as error:
         raise InvalidInput(f"{document.file}: {error}") from error
     experiment = _experiment(top[EXPERIMENT])
-    metrics = tuple(_metric(s, name) for name, s in top["metrics"].subsections())
+    metrics = tuple(_metric(s, name, resolved) for name, s in top["metrics"].subsections())
     figures = tuple(_figure(s) for s in top["figures"])
     experiment, measured = _recording(top, resolved, experiment, metrics, figures)
     reader = SettingsReader(
@@ -180,7 +180,7 @@ def _experiment(section: Section) -> Experiment:
     return experiment
 
 
-def _metric(section: Section, name: str) -> MetricSpec:
+def _metric(section: Section, name: str, resolved: ResolvedSystem) -> MetricSpec:
     if "." in name or not name.strip():
         raise section.within(f"choose a name other than '{name}'")
     read = section.read(keys.METRIC)
@@ -188,11 +188,28 @@ def _metric(section: Section, name: str) -> MetricSpec:
     of = () if found.loop else ("of",)
     section.require(*of).only(("metric", *of, *found.options))
     section.require(*(option for option, required in found.options.items() if required))
-    options = {key: section.number(key) for key in section.data if key in found.options}
+    options: dict[str, float] = {}
+    for key in found.options:
+        if key in found.times and key in section.data:
+            options[key] = section.seconds(key)
+        elif isinstance(section.data.get(key), Mapping):
+            options[key] = _measured(section, key, found, resolved)
+        elif key in section.data:
+            options[key] = section.number(key)
     for key in found.positive:
         if options.get(key, 1.0) <= 0.0:
             raise section.wrong(key, "a positive number")
     return MetricSpec(name, found.name, section.text("of") if of else "", options)
+
+
+def _measured(section: Section, key: str, found: Metric, resolved: ResolvedSystem) -> float:
+    """An option of a metric that states its unit, in that of the variables that are measured."""
+    if key not in found.values:
+        raise section.error(key, "takes no unit; give a number")
+    columns = section.attempt("of", partial(resolved.recorded, [section.text("of")]))
+    description = resolved.members[columns[0].member].description
+    value = in_own_unit(section, key, [column.variable for column in columns], description)
+    return replace(section, data={key: value}).number(key)
 
 
 def _figure(section: Section) -> FigureSpec:

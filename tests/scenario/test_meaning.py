@@ -10,9 +10,11 @@ from typer.testing import CliRunner
 from congelation.cli import app
 from congelation.errors import InvalidInput
 from congelation.results.provenance import about
+from congelation.results.results import open_results
 from congelation.scenario.load import load_scenario
 from tests.cosim.test_units import with_units
 from tests.scenarios import FMUS, SCALAR, write
+from tests.studies import command
 
 LINK = '"plant.x -> controller.x", '
 
@@ -228,3 +230,52 @@ def test_announcements_are_in_seconds(tmp_path: Path, unit: str, announces: bool
     plant = scenario.system.resolve().members[0]
     assert plant.name == "plant"
     assert (plant.description.announcement is not None) is announces
+
+
+@pytest.mark.parametrize(
+    ("unit", "option", "equal"),
+    [
+        ("m", 'below = {value = 100, unit = "mm"}', "below = 0.1"),
+        ("degC", 'below = {value = 273.25, unit = "K"}', "below = 0.1"),
+        ("K", 'reference = {value = -272.65, unit = "degC"}', "reference = 0.5"),
+        ("m", 'after = {value = 500, unit = "ms"}', "after = 0.5"),
+    ],
+)
+def test_options_of_metrics_state_units(tmp_path: Path, unit: str, option: str, equal: str) -> None:
+    """A metric with the option in a unit of its own is that with one in the variable's."""
+    name = option.partition(" ")[0]
+    metric = {"below": "settling_time", "reference": "overshoot", "after": "peak"}[name]
+    texts = [f'{{metric = "{metric}", of = "plant.x", {given}}}' for given in (option, equal)]
+    old = '{metric = "settling_time", of = "plant.x", below = 0.1}'
+    change = (old, f"{texts[0]}\nsame = {texts[1]}")
+    file = scenario_with(tmp_path, {"x": unit, "x0[1]": unit}, change)
+    assert command("run", file, "--out", tmp_path / "out", "--progress", "quiet").returncode == 0
+    row = next(iter(open_results(tmp_path / "out").runs.rows()))
+    assert row["metric.settling_x"] == pytest.approx(row["metric.same"], rel=1e-9)
+    assert 0.0 < row["metric.same"] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("metric", "message"),
+    [
+        (
+            'metric = "settling_time", of = "plant.x", below = {value = 1, unit = "s"}',
+            "below.unit = 's' is not the unit of 'below': 's' cannot become 'm'",
+        ),
+        (
+            'metric = "settling_time", of = "plant.x", below = {value = -1, unit = "mm"}',
+            "a positive number",
+        ),
+        (
+            'metric = "peak", of = "plant.x", after = {value = 1, unit = "m"}',
+            "after.unit = 'm' is no time",
+        ),
+    ],
+)
+def test_options_of_metrics_in_other_units_are_refused(
+    tmp_path: Path, metric: str, message: str
+) -> None:
+    old = 'metric = "settling_time", of = "plant.x", below = 0.1'
+    with pytest.raises(InvalidInput) as told:
+        load_scenario(scenario_with(tmp_path, {"x": "m"}, (old, metric)))
+    assert message in str(told.value)
