@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -279,3 +280,41 @@ def test_options_of_metrics_in_other_units_are_refused(
     with pytest.raises(InvalidInput) as told:
         load_scenario(scenario_with(tmp_path, {"x": "m"}, (old, metric)))
     assert message in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("term", "doubt"),
+    [
+        ("square = {amplitude = 0.4, period = 1e-9}", "square[1].period' = 1e-09 makes 1e+09"),
+        ("sine = {amplitude = 0.4, omega = 1e300}", "sine[1].omega' = 1e+300 makes 1.6e+299"),
+        ("telegraph = {amplitude = 1, rate = 1e8, seed = 1}", "rate' = 1e+08 makes 1e+08"),
+        ("square = {amplitude = 0.0, period = 1e-9}", ""),
+        ("square = {amplitude = 0.4, period = 1e-5}", ""),
+    ],
+)
+def test_a_profile_that_no_steps_resolve_is_named(tmp_path: Path, term: str, doubt: str) -> None:
+    file = write(tmp_path, SCALAR, ("square = {amplitude = 0.4, period = 0.3}", term))
+    assert [doubt in warning for warning in load_scenario(file).warnings] == [True] * bool(doubt)
+
+
+def test_an_axis_that_leaves_the_range_of_a_variable_is_named(tmp_path: Path) -> None:
+    """Of lists each value, of random axes the ends of their range."""
+    fmu = tmp_path / "Bounded.fmu"
+    with zipfile.ZipFile(FMUS / "ScalarPlant.fmu") as old, zipfile.ZipFile(fmu, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                place = data.index(b"<Real", data.index(b'name="x0[1]"'))
+                data = data[:place] + b'<Real max="5"' + data[place + len(b"<Real") :]
+            new.writestr(name, data)
+    axes = (
+        "[sweep]\nsamples = 2\n[[sweep.axes]]\nset = 'plant.x0[1]'\n{}\n[[figures]]",
+        "'plant.x0[1]' = 7, where its FMU states max = 5",
+    )
+    for axis in ("uniform = [1, 7]", "values = [1, 7]"):
+        text = axes[0].format(axis)
+        text = text if "uniform" in axis else text.replace("samples = 2\n", "")
+        change = (f"{FMUS}/ScalarPlant.fmu", str(fmu))
+        file = write(tmp_path, SCALAR, change, ("[[figures]]", text))
+        (warning,) = load_scenario(file).warnings
+        assert warning == f"{file}: sweep: {axes[1]}"
