@@ -9,19 +9,18 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Iterable, Sequence
 from types import TracebackType
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
-from fmpy.fmi2 import fmi2EventInfo
 
 from congelation.errors import SlaveError
 from congelation.fmi.calls import CALLS
 from congelation.fmi.description import Description, Variable
 from congelation.fmi.library import DISCARD, FATAL, PENDING, STATUS_NAMES, WARNING, Log, load
-from congelation.fmi.start_values import StartValue
+from congelation.fmi.start_values import C_TYPES, Setting, StartValue, references_of
 
-__all__ = ["TERMINATE", "DiscreteStates", "Slave", "SlaveTerminated", "State", "StepDiscarded"]
+__all__ = ["TERMINATE", "Slave", "SlaveTerminated", "State", "StepDiscarded"]
 
 TERMINATED_KIND = 3
 """fmi2Terminated, of fmi2StatusKind."""
@@ -39,24 +38,6 @@ class StepDiscarded(SlaveError):
 
 class SlaveTerminated(Exception):
     """The FMU ended the simulation run of its own accord: fmi2Discard with fmi2Terminated."""
-
-
-class DiscreteStates(NamedTuple):
-    """What fmi2NewDiscreteStates said.
-
-    Parameters
-    ----------
-    again : bool
-        Whether it has to be called once more.
-    ends : bool
-        Whether the FMU wants no further step.
-    event : float
-        Time of its next event in seconds; infinite where there is none.
-    """
-
-    again: bool
-    ends: bool
-    event: float
 
 
 class Slave:
@@ -90,7 +71,7 @@ class Slave:
         # Each call is noted before it is made, so that one that never returns has a name.
         self._note = CALLS.note
         self._functions: dict[str, Any] = {}
-        self._start: _Setting | None = None
+        self._start: Setting | None = None
         self._codes: dict[str, int] = {}
         self._note[0] = self._code("fmi2Instantiate")
         self._fmu = load(description, name, self.log, exchange=exchange)
@@ -121,7 +102,7 @@ class Slave:
     ) -> None:
         """fmi2SetupExperiment."""
         self.log.time = start_time
-        self._call(
+        self.call(
             "fmi2SetupExperiment",
             ctypes.c_int(tolerance is not None),
             ctypes.c_double(tolerance or 0.0),
@@ -132,11 +113,11 @@ class Slave:
 
     def enter_initialization(self) -> None:
         """fmi2EnterInitializationMode."""
-        self._call("fmi2EnterInitializationMode")
+        self.call("fmi2EnterInitializationMode")
 
     def exit_initialization(self) -> None:
         """fmi2ExitInitializationMode."""
-        self._call("fmi2ExitInitializationMode")
+        self.call("fmi2ExitInitializationMode")
 
     def complete(self) -> None:
         """The run has reached its end: fmi2Terminate is due, at the latest before the instance is
@@ -166,7 +147,7 @@ class Slave:
         self.log.clear()
         if self._broken:
             raise SlaveError(self.name, self.time, "fmi2Terminate returned fmi2Fatal")
-        self._call("fmi2Reset")
+        self.call("fmi2Reset")
 
     def close(self) -> None:
         """Free the instance; after fmi2Fatal it is abandoned, as FMI 2.0 demands."""
@@ -198,17 +179,17 @@ class Slave:
 
     def set_values(self, values: Iterable[StartValue]) -> None:
         """Set variables of any type, one call per type."""
-        self._set(_Setting(tuple(values)))
+        self._set(Setting(tuple(values)))
 
     def set_start(self, values: tuple[StartValue, ...]) -> None:
         """As `set_values`, for the values of a run, of which the next run changes a few."""
         if self._start is None or not self._start.takes(values):
-            self._start = _Setting(values)
+            self._start = Setting(values)
         self._set(self._start)
 
-    def _set(self, setting: _Setting) -> None:
+    def _set(self, setting: Setting) -> None:
         for kind, references, scalars in setting.calls:
-            self._call(f"fmi2Set{kind}", references, ctypes.c_size_t(len(scalars)), scalars)
+            self.call(f"fmi2Set{kind}", references, ctypes.c_size_t(len(scalars)), scalars)
 
     def set_value(self, variable: Variable, value: float | int | bool | str) -> None:
         """Set one variable of any type."""
@@ -216,9 +197,9 @@ class Slave:
 
     def get_values(self, kind: str, references: Sequence[int]) -> list[float | int | bool | str]:
         """Read variables of one type: Real, Integer, Boolean or String."""
-        values = (_C_TYPES[kind] * len(references))()
-        self._call(
-            f"fmi2Get{kind}", _references(references), ctypes.c_size_t(len(references)), values
+        values = (C_TYPES[kind] * len(references))()
+        self.call(
+            f"fmi2Get{kind}", references_of(references), ctypes.c_size_t(len(references)), values
         )
         if kind == "String":
             return [(value or b"").decode() for value in values]
@@ -297,75 +278,6 @@ class Slave:
             reason = self._reason("it gave no reason")
             raise SlaveTerminated(f"{self.name} at t = {self.time:.9g} ended the run: {reason}")
 
-    # -- model exchange -----------------------------------------------------------------------
-
-    def enter_event_mode(self) -> None:
-        """fmi2EnterEventMode."""
-        self._call("fmi2EnterEventMode")
-
-    def new_discrete_states(self) -> DiscreteStates:
-        """fmi2NewDiscreteStates."""
-        info = fmi2EventInfo()
-        self._call("fmi2NewDiscreteStates", ctypes.byref(info))
-        event = info.nextEventTime if info.nextEventTimeDefined else float("inf")
-        return DiscreteStates(
-            bool(info.newDiscreteStatesNeeded), bool(info.terminateSimulation), event
-        )
-
-    def enter_continuous_time_mode(self) -> None:
-        """fmi2EnterContinuousTimeMode."""
-        self._call("fmi2EnterContinuousTimeMode")
-
-    def set_time(self, time: float) -> None:
-        """fmi2SetTime."""
-        self.log.time = time
-        self._call("fmi2SetTime", ctypes.c_double(time))
-
-    def set_states(self, x: Floats) -> None:
-        """fmi2SetContinuousStates, from a contiguous array.
-
-        Raises
-        ------
-        StepDiscarded, SlaveError
-        """
-        self._vector("fmi2SetContinuousStates", x)
-
-    def get_states(self, x: Floats) -> None:
-        """fmi2GetContinuousStates, into a contiguous array."""
-        self._vector("fmi2GetContinuousStates", x)
-
-    def get_rates(self, f: Floats) -> None:
-        """fmi2GetDerivatives, into a contiguous array.
-
-        Raises
-        ------
-        StepDiscarded, SlaveError
-        """
-        self._vector("fmi2GetDerivatives", f)
-
-    def get_nominals(self, nominals: Floats) -> None:
-        """fmi2GetNominalsOfContinuousStates, into a contiguous array."""
-        self._vector("fmi2GetNominalsOfContinuousStates", nominals)
-
-    def get_indicators(self, z: Floats) -> None:
-        """fmi2GetEventIndicators, into a contiguous array."""
-        self._vector("fmi2GetEventIndicators", z)
-
-    def completed_step(self) -> tuple[bool, bool]:
-        """fmi2CompletedIntegratorStep: whether the FMU asks for event mode, and for the end."""
-        enter, terminate = ctypes.c_int(0), ctypes.c_int(0)
-        self._call(
-            "fmi2CompletedIntegratorStep",
-            ctypes.c_int(1),
-            ctypes.byref(enter),
-            ctypes.byref(terminate),
-        )
-        return bool(enter.value), bool(terminate.value)
-
-    def _vector(self, function: str, values: Floats) -> None:
-        pointer = values.ctypes.data_as(ctypes.c_void_p)
-        self._call(function, pointer, ctypes.c_size_t(len(values)))
-
     # -- states saved and restored ------------------------------------------------------------
 
     def state_handle(self) -> State:
@@ -407,16 +319,16 @@ class Slave:
     def serialize(self, state: State) -> bytes:
         """A saved state as bytes (fmi2SerializeFMUstate)."""
         size = ctypes.c_size_t()
-        self._call("fmi2SerializedFMUstateSize", state, ctypes.byref(size))
+        self.call("fmi2SerializedFMUstateSize", state, ctypes.byref(size))
         data = (ctypes.c_char * size.value)()
-        self._call("fmi2SerializeFMUstate", state, data, size)
+        self.call("fmi2SerializeFMUstate", state, data, size)
         return data.raw
 
     def deserialize(self, data: bytes) -> State:
         """The state that bytes stand for (fmi2DeSerializeFMUstate)."""
         state = State()
         buffer = ctypes.create_string_buffer(data, len(data))
-        self._call(
+        self.call(
             "fmi2DeSerializeFMUstate", buffer, ctypes.c_size_t(len(data)), ctypes.byref(state)
         )
         self._states.append(state)
@@ -487,7 +399,13 @@ class Slave:
             self._codes[function] = CALLS.code(text)
         return self._codes[function]
 
-    def _call(self, name: str, *arguments: object) -> None:
+    def call(self, name: str, *arguments: object) -> None:
+        """Call a function of the FMU with C values behind the instance, and check its status.
+
+        Raises
+        ------
+        StepDiscarded, SlaveError
+        """
         self._note[0] = self._code(name)
         self._check(name, self._function(name)(self._component, *arguments))
 
@@ -497,7 +415,7 @@ class Slave:
         function = self._function(name)
         arguments = (
             self._component,
-            _references(references),
+            references_of(references),
             ctypes.c_size_t(len(references)),
             *between,
             values.ctypes.data_as(ctypes.c_void_p),  # keeps the array alive
@@ -514,49 +432,6 @@ class Slave:
         return call
 
 
-class _Setting:
-    """Values as the functions that set them take them.
-
-    Attributes
-    ----------
-    calls : list of (type, references, values)
-    """
-
-    def __init__(self, values: tuple[StartValue, ...]) -> None:
-        groups: dict[str, list[StartValue]] = {}
-        for given in values:
-            groups.setdefault(given.variable.type, []).append(given)
-        self.calls: list[tuple[str, Any, Any]] = []
-        places: dict[int, tuple[Any, int]] = {}
-        for kind, group in groups.items():
-            count = len(group)
-            references = (ctypes.c_uint * count)(*(given.variable.reference for given in group))
-            scalars = (_C_TYPES[kind] * count)(*(_scalar(given) for given in group))
-            self.calls.append((kind, references, scalars))
-            places |= {id(given): (scalars, k) for k, given in enumerate(group)}
-        self._values = values
-        self._places = [places[id(given)] for given in values]
-
-    def takes(self, values: tuple[StartValue, ...]) -> bool:
-        """Whether these are values of the same variables, which it then takes over."""
-        if len(values) != len(self._values):
-            return False
-        changed = [
-            k for k, (a, b) in enumerate(zip(values, self._values, strict=True)) if a is not b
-        ]
-        if any(values[k].variable is not self._values[k].variable for k in changed):
-            return False
-        for k in changed:
-            scalars, place = self._places[k]
-            scalars[place] = _scalar(values[k])
-        self._values = values
-        return True
-
-
-def _scalar(given: StartValue) -> Any:
-    return given.value.encode() if isinstance(given.value, str) else given.value
-
-
 _DISCARDING = ("fmi2DoStep", "fmi2SetContinuousStates", "fmi2GetDerivatives")
 """Functions whose fmi2Discard asks for a shorter step."""
 
@@ -565,15 +440,3 @@ _HELP = {
     PENDING: "; FMUs whose steps end later than the call are not run",
 }
 """What helps where fmi2DoStep returned this without a reason."""
-
-_C_TYPES: dict[str, Any] = {
-    "Real": ctypes.c_double,
-    "Integer": ctypes.c_int,
-    "Boolean": ctypes.c_int,
-    "String": ctypes.c_char_p,
-}
-
-
-def _references(references: Iterable[int]) -> ctypes.Array[ctypes.c_uint]:
-    items = list(references)
-    return (ctypes.c_uint * len(items))(*items)

@@ -1,17 +1,19 @@
-"""Start values of one component: what the user wrote, as values of the FMU's variables."""
+"""Start values of one component: what the user wrote, as values of the FMU's variables and as
+arrays of C."""
 
 from __future__ import annotations
 
+import ctypes
 import math
-from collections.abc import Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from congelation.errors import InvalidInput, amount, nearest, shown
 from congelation.fmi.description import Description, Variable
 
-__all__ = ["StartValue", "resolve_start"]
+__all__ = ["C_TYPES", "Setting", "StartValue", "references_of", "resolve_start"]
 
 LARGEST_INTEGER = 2**31 - 1
 """An fmi2Integer has 32 bits."""
@@ -207,3 +209,60 @@ _WANTED = {
     "Boolean": "true or false",
     "String": "a string",
 }
+
+
+C_TYPES: dict[str, Any] = {
+    "Real": ctypes.c_double,
+    "Integer": ctypes.c_int,
+    "Boolean": ctypes.c_int,
+    "String": ctypes.c_char_p,
+}
+"""What stands in C for the values of each type of variable."""
+
+
+def references_of(references: Iterable[int]) -> ctypes.Array[ctypes.c_uint]:
+    """Value references as an array of C."""
+    items = list(references)
+    return (ctypes.c_uint * len(items))(*items)
+
+
+class Setting:
+    """Start values as arrays of C, one call of an fmi2Set function per type.
+
+    Attributes
+    ----------
+    calls : list of (type, references, values)
+    """
+
+    def __init__(self, values: tuple[StartValue, ...]) -> None:
+        groups: dict[str, list[StartValue]] = {}
+        for given in values:
+            groups.setdefault(given.variable.type, []).append(given)
+        self.calls: list[tuple[str, Any, Any]] = []
+        places: dict[int, tuple[Any, int]] = {}
+        for kind, group in groups.items():
+            references = references_of(given.variable.reference for given in group)
+            scalars = (C_TYPES[kind] * len(group))(*(_scalar(given) for given in group))
+            self.calls.append((kind, references, scalars))
+            places |= {id(given): (scalars, k) for k, given in enumerate(group)}
+        self._values = values
+        self._places = [places[id(given)] for given in values]
+
+    def takes(self, values: tuple[StartValue, ...]) -> bool:
+        """Whether these are values of the same variables, which it then takes over."""
+        if len(values) != len(self._values):
+            return False
+        changed = [
+            k for k, (a, b) in enumerate(zip(values, self._values, strict=True)) if a is not b
+        ]
+        if any(values[k].variable is not self._values[k].variable for k in changed):
+            return False
+        for k in changed:
+            scalars, place = self._places[k]
+            scalars[place] = _scalar(values[k])
+        self._values = values
+        return True
+
+
+def _scalar(given: StartValue) -> Any:
+    return given.value.encode() if isinstance(given.value, str) else given.value

@@ -16,6 +16,7 @@ from congelation.cosim.exchange import MAX_ITERATIONS, Exchange
 from congelation.cosim.result import RunEnded, Status
 from congelation.errors import InvalidInput, SlaveError
 from congelation.fmi.description import Equations
+from congelation.fmi.model import Model
 from congelation.fmi.slave import Slave, SlaveTerminated, StepDiscarded
 
 __all__ = ["ModelExchange", "ModelExchangeStepper", "Smooth", "ended_by", "late", "unsettled"]
@@ -138,6 +139,7 @@ class ModelExchangeStepper(Stepper[Smooth]):
             exchange=True,
         )
         self.carried = Exchange(self.drive)
+        self.models = [Model(slave) for slave in ensemble.slaves]
         self.iterations = 0
         self.calls_per_iteration = sum(1 + 2 * bool(e.states) for e in self.equations)
 
@@ -159,11 +161,11 @@ class ModelExchangeStepper(Stepper[Smooth]):
         ensemble = self._ensemble
         slaves = ensemble.slaves
         if before is not None:
-            for slave in slaves:
-                slave.enter_event_mode()
+            for model in self.models:
+                model.enter_event_mode()
         for _ in range(MAX_ITERATIONS):
             Y, discrete = ensemble.Y.copy(), ensemble.discrete_values()
-            found = [slave.new_discrete_states() for slave in slaves]
+            found = [model.new_discrete_states() for model in self.models]
             for slave, said in zip(slaves, found, strict=True):
                 if said.ends:
                     raise ended_by(slave, time)
@@ -179,11 +181,11 @@ class ModelExchangeStepper(Stepper[Smooth]):
             raise unsettled(time)
         ensemble.calls += (2 + (before is not None)) * len(slaves)
         x = np.zeros(len(self.nominal))
-        for slave, part in zip(slaves, self.parts, strict=True):
-            slave.enter_continuous_time_mode()
+        for model, part in zip(self.models, self.parts, strict=True):
+            model.enter_continuous_time_mode()
             if part.start < part.stop:
-                slave.get_states(x[part])
-                slave.get_nominals(self.nominal[part])
+                model.get_states(x[part])
+                model.get_nominals(self.nominal[part])
         # A state whose nominal value is said to be 0 would leave it without an absolute tolerance.
         np.abs(self.nominal, out=self.nominal)
         self.nominal[self.nominal == 0.0] = 1.0
@@ -200,10 +202,10 @@ class ModelExchangeStepper(Stepper[Smooth]):
             LOOP_UNSOLVED.
         """
         x = np.ascontiguousarray(x)  # SciPy gives columns of matrices, too
-        for slave, part in zip(self.drive.slaves, self.parts, strict=True):
-            slave.set_time(time)
+        for model, part in zip(self.models, self.parts, strict=True):
+            model.set_time(time)
             if part.start < part.stop:
-                slave.set_states(x[part])
+                model.set_states(x[part])
         self.carried.carry(time)
 
     def rates(self, time: float, x: Floats) -> Floats:
@@ -214,9 +216,9 @@ class ModelExchangeStepper(Stepper[Smooth]):
             self.iterations += 1
             try:
                 self.go_to(time, x)
-                for slave, part in zip(self.drive.slaves, self.parts, strict=True):
+                for model, part in zip(self.models, self.parts, strict=True):
                     if part.start < part.stop:
-                        slave.get_rates(f[part])
+                        model.get_rates(f[part])
             except StepDiscarded:
                 f[:] = np.nan
         return f
@@ -224,10 +226,10 @@ class ModelExchangeStepper(Stepper[Smooth]):
     def indicators(self) -> list[Floats]:
         """The event indicators of each FMU, where they are now."""
         found = []
-        for slave, equations in zip(self.drive.slaves, self.equations, strict=True):
+        for model, equations in zip(self.models, self.equations, strict=True):
             z = np.zeros(equations.indicators)
             if len(z):
-                slave.get_indicators(z)
+                model.get_indicators(z)
             found.append(z)
         return found
 
@@ -247,12 +249,12 @@ class ModelExchangeStepper(Stepper[Smooth]):
             An FMU ended the run.
         """
         asks = False
-        for slave, equations in zip(self.drive.slaves, self.equations, strict=True):
+        for model, equations in zip(self.models, self.equations, strict=True):
             if equations.completes:
                 self._ensemble.calls += 1
-                enter, ends = slave.completed_step()
+                enter, ends = model.completed_step()
                 if ends:
-                    raise ended_by(slave, time)
+                    raise ended_by(model.slave, time)
                 asks = asks or enter
         return asks
 
