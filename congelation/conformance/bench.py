@@ -7,7 +7,7 @@ import re
 import subprocess
 import sys
 from collections import deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
@@ -15,16 +15,17 @@ from pathlib import Path
 
 from congelation.conformance.binding import Library, Tape
 from congelation.conformance.description import Description, Value, read_description
-from congelation.conformance.instance import CO_SIMULATION, MODEL_EXCHANGE, Instance
+from congelation.conformance.instance import CO_SIMULATION, Instance
 from congelation.conformance.job import Job, binary_path
-from congelation.conformance.rule import NotApplicable, NotEvaluated, Violated
+from congelation.conformance.rule import NotApplicable, NotEvaluated, Violated, require
 from congelation.conformance.trajectory import (
     Grid,
     Trajectory,
+    by_base,
     demand,
     excite,
     first_difference,
-    simulate,
+    observe,
 )
 
 __all__ = ["Bench", "from_text", "to_text"]
@@ -105,18 +106,18 @@ class Bench:
         one = self.description.flag("canBeInstantiatedOnlyOncePerProcess")
         return one or bool(self.job.able.beside)
 
-    @contextmanager
-    def probing(self, what: str) -> Iterator[None]:
-        """Note that a call is made which no correct host would make."""
-        self.library.probe = what
-        yield
+    def require_flag(self, name: str, *, exchange: bool = False) -> None:
+        """Raise NotApplicable where a capability flag of co-simulation, or of model exchange, is
+        false."""
+        flags = self.description.exchange_flag if exchange else self.description.flag
+        require(flags(name), f"{name} is false")
 
     @property
     def uri(self) -> str:
         """URI of the resources directory."""
         return (self.directory / "resources").as_uri()
 
-    def attempt(
+    def fresh(
         self,
         name: str = "tested",
         *,
@@ -126,13 +127,21 @@ class Bench:
         memory: bool = True,
         library: Library | None = None,
         kind: int = CO_SIMULATION,
+        refusable: bool = False,
     ) -> Instance:
-        """Call fmi2Instantiate, whatever comes of it.
+        """A new instance, in state "instantiated".
+
+        Parameters
+        ----------
+        refusable : bool
+            Whether the FMU may refuse; the instance has no component then.
 
         Raises
         ------
         NotEvaluated
             The FMU is known to bear no second instance in a process.
+        Violated
+            fmi2Instantiate returned a null pointer.
         """
         if self.made and self.job.able.again and self.job.rule != "FMI2-INST-04":
             raise NotEvaluated(self.job.able.again)
@@ -147,6 +156,9 @@ class Bench:
         )
         self.made += 1
         self.instances.append(instance)
+        if instance.component is None and not refusable:
+            said = "; ".join(m.shown for m in instance.messages) or "and logged nothing"
+            raise Violated(f"fmi2Instantiate returned a null pointer: {said}")
         return instance
 
     def said(self) -> list[str]:
@@ -159,44 +171,44 @@ class Bench:
         shown = [message.shown for instance in self.instances for message in instance.messages]
         return [re.sub(r"##|#([ribs]\d+)#", named, text).strip() for text in shown[-_LAST:]]
 
-    def fresh(
+    def initialize(
         self,
-        name: str = "tested",
+        instance: Instance,
+        phase: float = 0.0,
+        description: Description | None = None,
         *,
-        uri: str | None = None,
-        logging: bool = True,
-        memory: bool = True,
-        library: Library | None = None,
-        kind: int = CO_SIMULATION,
+        setup: bool = True,
+        what: str = "",
     ) -> Instance:
-        """A new instance, in state "instantiated".
+        """Bring an instance from "instantiated" to the first communication point.
 
-        Raises
-        ------
-        Violated
-            fmi2Instantiate returned a null pointer.
+        Parameters
+        ----------
+        description : Description, optional
+            In place of the FMU's own, where some inputs are to rest.
+        setup : bool
+            False: fmi2SetupExperiment has been called.
+        what : str
+            Said of a call that fails.
         """
-        instance = self.attempt(
-            name, uri=uri, logging=logging, memory=memory, library=library, kind=kind
-        )
-        if instance.component is None:
-            said = "; ".join(m.shown for m in instance.messages) or "and logged nothing"
-            raise Violated(f"fmi2Instantiate returned a null pointer: {said}")
-        return instance
-
-    def initialize(self, instance: Instance, phase: float = 0.0) -> Instance:
-        """Bring an instance from "instantiated" to the first communication point."""
-        self.begin(instance, phase)
-        demand(instance.leave(), "fmi2ExitInitializationMode")
+        self.begin(instance, phase, description, setup=setup, what=what)
+        demand(instance.leave(), f"fmi2ExitInitializationMode{what}")
         return instance
 
     def begin(
-        self, instance: Instance, phase: float = 0.0, *, instead: Mapping[int, Value] | None = None
+        self,
+        instance: Instance,
+        phase: float = 0.0,
+        description: Description | None = None,
+        *,
+        setup: bool = True,
+        what: str = "",
     ) -> Instance:
         """Bring an instance from "instantiated" into Initialization Mode, inputs excited."""
-        demand(instance.setup(self.grid.start), "fmi2SetupExperiment")
-        demand(instance.enter(), "fmi2EnterInitializationMode")
-        excite(instance, self.description, 0, phase, instead)
+        if setup:
+            demand(instance.setup(self.grid.start), f"fmi2SetupExperiment{what}")
+        demand(instance.enter(), f"fmi2EnterInitializationMode{what}")
+        excite(instance, description or self.description, 0, phase)
         return instance
 
     def ready(self, name: str = "tested", *, phase: float = 0.0) -> Instance:
@@ -211,17 +223,36 @@ class Bench:
         last: int | None = None,
         phase: float = 0.0,
         quiet: bool = False,
+        grid: Grid | None = None,
     ) -> Trajectory:
-        """Simulate on the grid of the bench."""
-        return simulate(
-            instance,
-            self.description,
-            self.grid,
-            first=first,
-            last=last,
-            phase=phase,
-            quiet=quiet,
-        )
+        """Simulate an instance that stands at communication point `first` up to `last`.
+
+        Parameters
+        ----------
+        quiet : bool
+            Do not read anything before the end.
+        grid : Grid, optional
+            In place of that of the bench.
+
+        Raises
+        ------
+        Violated
+            A call was refused.
+        """
+        grid = grid or self.grid
+        end = grid.steps if last is None else last
+        rows = [] if quiet else [observe(instance, self.description)]
+        for point in range(first, end):
+            excite(instance, self.description, point, phase)
+            time = grid.time(point)
+            demand(
+                instance.step(time, grid.time(point + 1) - time),
+                f"fmi2DoStep at t = {time:.9g}, h = {grid.step:.9g}",
+            )
+            if not quiet or point + 1 == end:
+                rows.append(observe(instance, self.description))
+        names = (v.name for _, group in by_base(self.description.variables) for v in group)
+        return Trajectory(tuple(names), tuple(rows))
 
     @cached_property
     def reference(self) -> Trajectory:
@@ -258,26 +289,6 @@ class Bench:
         instance = self.ready(name, phase=phase)
         yield instance
         instance.free()
-
-    def exchange(self, description: Description | None = None) -> Instance:
-        """A new instance for model exchange in event mode, its inputs excited.
-
-        Parameters
-        ----------
-        description : Description, optional
-            In place of the FMU's own, where some inputs are to rest.
-
-        Raises
-        ------
-        NotApplicable
-            The FMU is for co-simulation alone.
-        """
-        instance = self.fresh(kind=MODEL_EXCHANGE, library=self.exchange_library)
-        demand(instance.setup(self.grid.start), "fmi2SetupExperiment")
-        demand(instance.enter(), "fmi2EnterInitializationMode")
-        excite(instance, description or self.description, 0)
-        demand(instance.leave(), "fmi2ExitInitializationMode")
-        return instance
 
     @cached_property
     def exchange_library(self) -> Library:

@@ -36,6 +36,7 @@ __all__ = [
     "Violated",
     "dynamic",
     "judge",
+    "require",
     "static",
 ]
 
@@ -70,6 +71,12 @@ class Outcome(Enum):
 
 class NotApplicable(Exception):
     """The rule has nothing to look at in this FMU; the text says why."""
+
+
+def require(there: object, otherwise: str) -> None:
+    """Raise `NotApplicable` with this reason where something is missing, empty or false."""
+    if not there:
+        raise NotApplicable(otherwise)
 
 
 class NotEvaluated(Exception):

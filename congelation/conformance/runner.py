@@ -130,14 +130,7 @@ def check(
     if not 0.0 < time_limit < math.inf:
         raise InvalidInput(f"time_limit = {time_limit} is not valid; give a positive number of s")
     chosen = select(rules) or RULES
-    files = [Path(path) for path in paths]
-    for path in files:
-        if not path.exists():
-            raise InvalidInput(f"there is no FMU at '{path}'")
-        if path.is_dir() and not (path / DESCRIPTION).is_file():
-            raise InvalidInput(f"the folder '{path}' is no unpacked FMU: it has no {DESCRIPTION}")
-        if path.is_file():
-            require_no_other_kind(path)
+    files = _readable(paths)
     accepted = read_known(Path(known), BY_ID) if known is not None else ()
     used: set[Accepted] = set()
     reports = []
@@ -147,28 +140,47 @@ def check(
             with Checker(path, companion, time_limit, static=static) as checker:
                 if opened is not None:
                     opened(path, checker.scope)
-
-                def look(rule: Rule, checker: Checker = checker) -> Verdict:
-                    verdict = checker.check(rule)
-                    if progress is not None:
-                        progress(checker.path, verdict)
-                    return verdict
-
-                try:
-                    verdicts = merged(tuple(pool.map(look, chosen)))
-                except BaseException:
-                    checker.stop()
-                    pool.shutdown(wait=True, cancel_futures=True)
-                    raise
-            final = []
-            for verdict in verdicts:
+                verdicts = _verdicts(checker, chosen, pool, progress)
+            # Findings that the user accepts become known ones.
+            for place, verdict in enumerate(verdicts):
                 entry = next((a for a in accepted if a.covers(verdict.rule.id, path)), None)
                 if entry is not None and verdict.outcome is Outcome.FOUND:
                     used.add(entry)
-                    verdict = replace(verdict, outcome=Outcome.KNOWN, reason=entry.reason)
-                final.append(verdict)
-            reports.append(FmuReport(path, checker.scope, checker.in_scope, tuple(final)))
+                    verdicts[place] = replace(verdict, outcome=Outcome.KNOWN, reason=entry.reason)
+            reports.append(FmuReport(path, checker.scope, checker.in_scope, tuple(verdicts)))
             if done is not None:
                 done(reports[-1])
     unused = tuple(f"{a.rule} in {a.fmu}" for a in accepted if a not in used)
     return Report(tuple(reports), unused)
+
+
+def _readable(paths: Sequence[Path | str]) -> list[Path]:
+    """The paths, after checking that each is an FMU, packed or as a directory."""
+    files = [Path(path) for path in paths]
+    for path in files:
+        if not path.exists():
+            raise InvalidInput(f"there is no FMU at '{path}'")
+        if path.is_dir() and not (path / DESCRIPTION).is_file():
+            raise InvalidInput(f"the folder '{path}' is no unpacked FMU: it has no {DESCRIPTION}")
+        if path.is_file():
+            require_no_other_kind(path)
+    return files
+
+
+def _verdicts(
+    checker: Checker, rules: Sequence[Rule], pool: ThreadPoolExecutor, progress: Progress | None
+) -> list[Verdict]:
+    """What became of each rule for one FMU; an interruption ends the processes under way."""
+
+    def look(rule: Rule) -> Verdict:
+        verdict = checker.check(rule)
+        if progress is not None:
+            progress(checker.path, verdict)
+        return verdict
+
+    try:
+        return list(merged(tuple(pool.map(look, rules))))
+    except BaseException:
+        checker.stop()
+        pool.shutdown(wait=True, cancel_futures=True)
+        raise

@@ -27,7 +27,6 @@ __all__ = [
     "inputs",
     "observe",
     "same",
-    "simulate",
 ]
 
 # Communication steps of a test run: enough for the states to move, few enough to repeat often.
@@ -148,43 +147,6 @@ def observe(instance: Instance, description: Description) -> tuple[Value, ...]:
         demand(status, f"fmi2Get{base} of all variables")
         row.extend(values)
     return tuple(row)
-
-
-def simulate(
-    instance: Instance,
-    description: Description,
-    grid: Grid,
-    *,
-    first: int = 0,
-    last: int | None = None,
-    phase: float = 0.0,
-    quiet: bool = False,
-) -> Trajectory:
-    """Run an instance that stands at communication point `first` up to `last`.
-
-    Parameters
-    ----------
-    quiet : bool
-        Do not read anything before the end.
-
-    Raises
-    ------
-    Violated
-        A call was refused.
-    """
-    end = grid.steps if last is None else last
-    names = tuple(v.name for _, group in by_base(description.variables) for v in group)
-    rows = [] if quiet else [observe(instance, description)]
-    for point in range(first, end):
-        excite(instance, description, point, phase)
-        time = grid.time(point)
-        demand(
-            instance.step(time, grid.time(point + 1) - time),
-            f"fmi2DoStep at t = {time:.9g}, h = {grid.step:.9g}",
-        )
-        if not quiet or point + 1 == end:
-            rows.append(observe(instance, description))
-    return Trajectory(names, tuple(rows))
 
 
 def same(one: Value, other: Value) -> bool:

@@ -19,6 +19,7 @@ from congelation.cosim import (
     System,
     simulate,
 )
+from congelation.cosim.compiled import library
 from congelation.cosim.coupling import Auto
 from congelation.cosim.experiment import Experiment
 from congelation.errors import InvalidInput
@@ -148,6 +149,23 @@ def test_jumps_that_no_fmu_announces_are_passed_and_told(parts, ability):
     )
     assert result.status is Status.COMPLETED
     assert "a jump that no FMU announces" in result.message
+
+
+@pytest.mark.parametrize(("name", "error"), [("thermostat", 5e-3), ("relay", 5e-4)])
+def test_a_jump_does_not_pass_as_smooth(monkeypatch, parts, name, error):
+    """With even steps, a jump looks like a smooth value of which 1/64 is missed."""
+    found = problem(name)
+    result, _ = run(found, parts, "full", tolerance=1e-2)
+    assert result.coupling == "hermite"
+    exact = found.exact(result.time)
+    off = np.abs(result.values - exact)
+    # The relay itself is off for part of a step.
+    assert (off[:, :-1].max(axis=0) / np.abs(exact[:, :-1]).max(axis=0)).max() < error
+    assert np.diff(result.time)[off[:-1, -1] > 0.0].sum() < 5e-3 * found.stop
+    with monkeypatch.context() as patch:
+        patch.setattr(library, "loaded", lambda: None)
+        by_python, _ = run(found, parts, "full", tolerance=1e-2)
+    np.testing.assert_array_equal(result.values, by_python.values)
 
 
 @pytest.fixture(scope="module")

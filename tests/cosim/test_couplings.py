@@ -247,7 +247,7 @@ def test_a_jump_that_nobody_announces_is_a_status(fmus):
 def test_an_error_that_never_falls_names_the_connection(loop, monkeypatch):
     from congelation.cosim.coupling import hermite
 
-    def never_falls(piece, points, end, new, *, high):
+    def never_falls(piece, points, end, new, *, high, jumps):
         return np.ones(new.shape[1]), None
 
     monkeypatch.setattr(compiled.library, "loaded", lambda: None)

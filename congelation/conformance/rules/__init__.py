@@ -1,8 +1,8 @@
 """The rules: `RULES`, in the order in which they are reported.
 
 Each module registers its rules as it is imported. What is common to all kinds of FMU is in
-`package`, `document`, `variables` and `structure`; `exchange_..` is about model exchange, the rest
-about co-simulation. Rules for FMI 3.0 are further modules here, with a bench that knows their
+`package`, `document`, `variables` and `structure`; `model_exchange` is about that, the rest about
+co-simulation. Rules for FMI 3.0 are further modules here, with a bench that knows their
 functions.
 
 They are imported when `RULES` is first used: a process that looks at one rule imports its module
@@ -25,18 +25,13 @@ _MODULES = (
     "structure",
     "library",
     "instances",
-    "resources",
     "experiment",
     "states",
     "values",
     "stepping",
     "capabilities",
     "fmustate",
-    "serialization",
-    "exchange_modes",
-    "exchange_states",
-    "exchange_kinds",
-    "exchange_flags",
+    "model_exchange",
     "logging",
     "robustness",
 )

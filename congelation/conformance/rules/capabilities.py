@@ -9,7 +9,7 @@ from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
 from congelation.conformance.description import Value, Variable
 from congelation.conformance.probe import read
-from congelation.conformance.rule import Level, NotApplicable, dynamic
+from congelation.conformance.rule import Level, NotApplicable, dynamic, require
 from congelation.conformance.trajectory import demand, excitation, excite, inputs, same
 
 __all__: list[str] = []
@@ -22,11 +22,6 @@ _QUOTIENT_ERROR = 1e-2
 
 _STATE = ("fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2FreeFMUstate")
 _BYTES = ("fmi2SerializedFMUstateSize", "fmi2SerializeFMUstate", "fmi2DeSerializeFMUstate")
-
-
-def _needs(bench: Bench, flag: str) -> None:
-    if not bench.description.flag(flag):
-        raise NotApplicable(f"{flag} is false")
 
 
 def _real(variables: Sequence[Variable]) -> list[Variable]:
@@ -46,7 +41,7 @@ def state_functions(bench: Bench) -> Iterator[str]:
 
     Example: fmi2Error from fmi2GetFMUstate.
     """
-    _needs(bench, "canGetAndSetFMUstate")
+    bench.require_flag("canGetAndSetFMUstate")
     with bench.held() as instance:
         status, state = instance.get_state()
         demand(status, "fmi2GetFMUstate")
@@ -68,7 +63,7 @@ def serializing_functions(bench: Bench) -> Iterator[str]:
 
     Example: fmi2Error from fmi2SerializeFMUstate.
     """
-    _needs(bench, "canSerializeFMUstate")
+    bench.require_flag("canSerializeFMUstate")
     with bench.held() as instance:
         status, state = instance.get_state()
         demand(status, "fmi2GetFMUstate")
@@ -93,10 +88,9 @@ def input_derivatives(bench: Bench) -> Iterator[str]:
 
     Example: A function that returns fmi2OK and does nothing.
     """
-    _needs(bench, "canInterpolateInputs")
+    bench.require_flag("canInterpolateInputs")
     found = _real(inputs(bench.description))
-    if not found:
-        raise NotApplicable("there is no continuous Real input")
+    require(found, "there is no continuous Real input")
     references = [v.reference for v in found]
     results = []
     for slope in (0.0, 1.0):
@@ -174,7 +168,7 @@ def directional_derivative(bench: Bench) -> Iterator[str]:
 
     Example: A factor of two.
     """
-    _needs(bench, "providesDirectionalDerivative")
+    bench.require_flag("providesDirectionalDerivative")
     description = bench.description
     listed = [description.variable(unknown.index) for unknown in description.initial_unknowns]
     unknowns = _real([v for v in listed if v is not None])
@@ -214,7 +208,7 @@ def no_memory_functions(bench: Bench) -> Iterator[str]:
 
     Example: functions->allocateMemory(1, n).
     """
-    _needs(bench, "canNotUseMemoryManagementFunctions")
+    bench.require_flag("canNotUseMemoryManagementFunctions")
     instance = bench.initialize(bench.fresh(memory=False))
     found = bench.run(instance)
     instance.free()
@@ -234,13 +228,15 @@ def several_instances(bench: Bench) -> Iterator[str]:
 
     Example: A null pointer for the second instance.
     """
-    if bench.description.flag("canBeInstantiatedOnlyOncePerProcess"):
-        raise NotApplicable("canBeInstantiatedOnlyOncePerProcess is true")
-    first, second = bench.attempt("first"), bench.attempt("second")
-    for instance in (first, second):
+    require(
+        not bench.description.flag("canBeInstantiatedOnlyOncePerProcess"),
+        "canBeInstantiatedOnlyOncePerProcess is true",
+    )
+    both = [bench.fresh(name, refusable=True) for name in ("first", "second")]
+    for instance in both:
         if instance.component is None:
             yield f"the {instance.name} of two instances was refused"
-    for instance in (first, second):
+    for instance in both:
         instance.free()
 
 
@@ -257,10 +253,9 @@ def zeroth_derivative(bench: Bench) -> Iterator[str]:
 
     Example: fmi2OK.
     """
-    _needs(bench, "canInterpolateInputs")
+    bench.require_flag("canInterpolateInputs")
     found = _real(inputs(bench.description))
-    if not found:
-        raise NotApplicable("there is no continuous Real input")
+    require(found, "there is no continuous Real input")
     with bench.held() as instance:
         bench.library.probe = "order 0"
         status = instance.set_input_derivatives([found[0].reference], [0], [1.0])

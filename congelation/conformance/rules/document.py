@@ -10,7 +10,7 @@ from importlib.resources import as_file, files
 
 from lxml import etree
 
-from congelation.conformance.rule import Breach, Level, NotApplicable, static
+from congelation.conformance.rule import Breach, Level, NotApplicable, require, static
 from congelation.conformance.subject import DESCRIPTION, Subject
 
 __all__: list[str] = []
@@ -198,8 +198,7 @@ def enumerations(subject: Subject) -> Iterator[str | Breach]:
     Example: Two items with value="1".
     """
     types = list(subject.root.iterfind("TypeDefinitions/SimpleType[Enumeration]"))
-    if not types:
-        raise NotApplicable("no enumeration is defined")
+    require(types, "no enumeration is defined")
     for kind in types:
         items = kind.findall("Enumeration/Item")
         for attribute in ("name", "value"):
@@ -247,7 +246,6 @@ def serializing_needs_state(subject: Subject) -> Iterator[str]:
     Example: canSerializeFMUstate="true" alone.
     """
     description = subject.description
-    if not description.flag("canSerializeFMUstate"):
-        raise NotApplicable("canSerializeFMUstate is false")
+    require(description.flag("canSerializeFMUstate"), "canSerializeFMUstate is false")
     if not description.flag("canGetAndSetFMUstate"):
         yield "canSerializeFMUstate is true and canGetAndSetFMUstate is false"

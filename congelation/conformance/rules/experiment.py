@@ -9,7 +9,7 @@ from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
 from congelation.conformance.instance import Instance
 from congelation.conformance.rule import Level, NotApplicable, dynamic
-from congelation.conformance.trajectory import Grid, demand, excite, simulate
+from congelation.conformance.trajectory import Grid, demand, excite
 
 __all__: list[str] = []
 
@@ -26,10 +26,7 @@ def _begun(
         instance.setup(start, stop, tolerance),
         f"fmi2SetupExperiment(start {start:g}, stop {stop}, tolerance {tolerance})",
     )
-    demand(instance.enter(), "fmi2EnterInitializationMode")
-    excite(instance, bench.description, 0)
-    demand(instance.leave(), "fmi2ExitInitializationMode")
-    return instance
+    return bench.initialize(instance, setup=False)
 
 
 @dynamic("FMI2-EXP-01", "2.1.6", Level.VIOLATION)
@@ -49,15 +46,13 @@ def start_time(bench: Bench) -> Iterator[str]:
     if instance.setup(later) not in (Status.OK, Status.WARNING):
         # An FMU may check whether its model is valid there.
         raise NotApplicable(f"the FMU does not take the start time {later:g}")
-    demand(instance.enter(), "fmi2EnterInitializationMode")
-    excite(instance, bench.description, 0)
-    demand(instance.leave(), "fmi2ExitInitializationMode")
+    bench.initialize(instance, setup=False)
     for v in bench.description.variables:
         if v.causality == "independent":
             _, (time,) = instance.get("Real", [v.reference])
             if time != later:
                 yield f"{v.name} is {time} after initialization at {later:g}"
-    simulate(instance, bench.description, Grid(later, bench.grid.step))
+    bench.run(instance, grid=Grid(later, bench.grid.step))
     instance.free()
 
 
@@ -153,7 +148,7 @@ def up_to_stop(bench: Bench) -> Iterator[str]:
     slack = 0.0 if start == 0.0 else steps * math.ulp(grid.time(steps))
     slack = slack or (0.0 if math.frexp(step)[0] == 0.5 else steps * math.ulp(grid.time(steps)))
     instance = _begun(bench, start, grid.time(steps) + slack)
-    simulate(instance, bench.description, grid)
+    bench.run(instance, grid=grid)
     instance.free()
     yield from ()
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from congelation.conformance.bench import Bench
 from congelation.conformance.binding import LogMessage, Status
 from congelation.conformance.instance import ENVIRONMENT, Instance
-from congelation.conformance.rule import Level, NotApplicable, dynamic
+from congelation.conformance.rule import Level, dynamic, require
 from congelation.conformance.rules.values import UNKNOWN
 from congelation.conformance.trajectory import demand
 
@@ -52,8 +52,7 @@ def _all_messages(bench: Bench) -> list[LogMessage]:
     instance.free()
     for _, _, more in _refusals(bench, logging=True):
         messages.extend(more)
-    if not messages:
-        raise NotApplicable("the FMU logs nothing, whatever is done")
+    require(messages, "the FMU logs nothing, whatever is done")
     return messages
 
 
@@ -115,8 +114,7 @@ def explained(bench: Bench) -> Iterator[str]:
         nothing = False
         if not any((m.text or "").strip() for m in messages):
             yield f"{what} returned {status} and logged nothing"
-    if nothing:
-        raise NotApplicable("no provocation was refused")
+    require(not nothing, "no provocation was refused")
 
 
 @dynamic("FMI2-LOG-04", "2.1.5", Level.WARNING)
@@ -133,8 +131,7 @@ def selection(bench: Bench) -> Iterator[str]:
     Example: All categories, whichever are chosen.
     """
     names = bench.description.categories
-    if not names:
-        raise NotApplicable("there are no LogCategories")
+    require(names, "there are no LogCategories")
     for chosen in names:
         instance = bench.initialize(bench.fresh(logging=False))
         demand(instance.set_logging(True, [chosen]), f"fmi2SetDebugLogging for {chosen!r}")
@@ -217,5 +214,4 @@ def errors_always_logged(bench: Bench) -> Iterator[str]:
             nothing = False
             if not messages:
                 yield f"{what} returned {status} and logged nothing"
-    if nothing:
-        raise NotApplicable("no provocation was answered with fmi2Warning or fmi2Error")
+    require(not nothing, "no provocation was answered with fmi2Warning or fmi2Error")

@@ -10,7 +10,7 @@ import zipfile
 from collections import Counter
 from collections.abc import Iterator
 
-from congelation.conformance.rule import Level, NotApplicable, static
+from congelation.conformance.rule import Level, NotApplicable, require, static
 from congelation.conformance.subject import DESCRIPTION, Subject
 
 __all__: list[str] = []
@@ -192,8 +192,7 @@ def implementation(subject: Subject) -> Iterator[str]:
     Example: binaries/linux64/libModel.so with modelIdentifier="Model".
     """
     identifiers = set(subject.description.identifiers.values())
-    if not identifiers:
-        raise NotApplicable("there is neither <CoSimulation> nor <ModelExchange>")
+    require(identifiers, "there is neither <CoSimulation> nor <ModelExchange>")
     files = [name for name in subject.names if not name.endswith("/")]
     folders = {name.split("/")[1] for name in files if name.startswith("binaries/")}
     if not folders and not any(name.startswith("sources/") for name in files):
@@ -253,8 +252,10 @@ def documentation(subject: Subject) -> Iterator[str]:
 
     Example: Documentation/readme.html alone.
     """
-    if not any(name.startswith("documentation/") for name in subject.names):
-        raise NotApplicable("there is no documentation directory")
+    require(
+        any(name.startswith("documentation/") for name in subject.names),
+        "there is no documentation directory",
+    )
     if "documentation/index.html" not in subject.names:
         yield "documentation/ has no index.html"
 

@@ -15,7 +15,7 @@ from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
 from congelation.conformance.description import Value, Variable
 from congelation.conformance.instance import Instance
-from congelation.conformance.rule import Level, NotApplicable, dynamic
+from congelation.conformance.rule import Level, dynamic, require
 from congelation.conformance.trajectory import demand, excite, inputs
 
 __all__: list[str] = []
@@ -102,8 +102,7 @@ def bad_inputs(bench: Bench) -> Iterator[str]:
     Example: A crash for NaN.
     """
     found = [v for v in inputs(bench.description) if v.element == "Real"]
-    if not found:
-        raise NotApplicable("there is no Real input")
+    require(found, "there is no Real input")
     yield from _survives(bench, found, _bad_input)
 
 
@@ -122,8 +121,7 @@ def bad_parameters(bench: Bench) -> Iterator[str]:
     found = [
         v for v in bench.description.variables if v.settable_before_start and v.element == "Real"
     ]
-    if not found:
-        raise NotApplicable("no Real start value can be set")
+    require(found, "no Real start value can be set")
     yield from _survives(bench, found, _bad_start)
 
 
@@ -144,8 +142,7 @@ def bad_discrete(bench: Bench) -> Iterator[str]:
         for v in bench.description.variables
         if (v.settable_before_start or v.causality == "input") and v.base in ("Integer", "String")
     ]
-    if not settable:
-        raise NotApplicable("no Integer, Enumeration or String can be set")
+    require(settable, "no Integer, Enumeration or String can be set")
     before = [v for v in settable if v.causality != "input"]
     yield from _survives(bench, before, _bad_start)
     yield from _survives(bench, [v for v in settable if v.causality == "input"], _bad_input)

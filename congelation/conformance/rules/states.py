@@ -11,7 +11,14 @@ from congelation.conformance.binding import Status
 from congelation.conformance.description import Variable
 from congelation.conformance.instance import Instance
 from congelation.conformance.probe import read, shifted
-from congelation.conformance.rule import NOT_RESTORED, Level, NotApplicable, Violated, dynamic
+from congelation.conformance.rule import (
+    NOT_RESTORED,
+    Level,
+    NotApplicable,
+    Violated,
+    dynamic,
+    require,
+)
 from congelation.conformance.trajectory import demand, excite, inputs, observe, same
 
 __all__: list[str] = []
@@ -25,18 +32,6 @@ _LAST_TIME, _TERMINATED = 2, 3
 _LARGE = 1000.0
 
 
-def _instantiated(bench: Bench) -> Instance:
-    return bench.fresh()
-
-
-def _initializing(bench: Bench) -> Instance:
-    return bench.begin(bench.fresh())
-
-
-def _stepping(bench: Bench) -> Instance:
-    return bench.ready()
-
-
 def _terminated(bench: Bench) -> Instance:
     instance = bench.ready()
     demand(instance.terminate(), "fmi2Terminate")
@@ -45,9 +40,9 @@ def _terminated(bench: Bench) -> Instance:
 
 # How to get a new instance into each state in which a master leaves it, at the start time.
 _STATES: Mapping[str, Callable[[Bench], Instance]] = {
-    "instantiated": _instantiated,
-    "Initialization Mode": _initializing,
-    "stepComplete": _stepping,
+    "instantiated": lambda bench: bench.fresh(),
+    "Initialization Mode": lambda bench: bench.begin(bench.fresh()),
+    "stepComplete": lambda bench: bench.ready(),
     "terminated": _terminated,
 }
 
@@ -237,8 +232,7 @@ def status_inquiry(bench: Bench) -> Iterator[str]:
                 yield f"fmi2LastSuccessfulTime is {time.value!r} after {what} from {begin!r}"
         if status != Status.FATAL:
             instance.free()
-    if not discarded:
-        raise NotApplicable("no step was discarded")
+    require(discarded, "no step was discarded")
 
 
 @dynamic("FMI2-STATE-06", "2.2.7, 4.2.4", Level.VIOLATION)
@@ -308,8 +302,7 @@ def reset_restores_starts(bench: Bench) -> Iterator[str]:
     """
     description = bench.description
     settable = [v for v in description.variables if v.settable_before_start and v.start is not None]
-    if not settable:
-        raise NotApplicable("no start value can be set")
+    require(settable, "no start value can be set")
     instance = bench.fresh()
     _set_all_otherwise(bench, instance, settable)
     demand(instance.reset(), "fmi2Reset")
@@ -378,16 +371,13 @@ def reset_after_failure(bench: Bench) -> Iterator[str]:
             yield from bench.compare(found, f"after {what} ({status}) and fmi2Reset")
         if status != Status.FATAL:
             instance.free()
-    if not failed:
-        raise NotApplicable("no step was discarded or failed")
+    require(failed, "no step was discarded or failed")
 
 
 def _past_stop(bench: Bench, instance: Instance) -> Status:
     grid = bench.grid
     demand(instance.setup(grid.start, grid.time(2)), "fmi2SetupExperiment")
-    demand(instance.enter(), "fmi2EnterInitializationMode")
-    excite(instance, bench.description, 0)
-    demand(instance.leave(), "fmi2ExitInitializationMode")
+    bench.initialize(instance, setup=False)
     bench.run(instance, last=2)
     return instance.step(grid.time(2), grid.step)
 

@@ -10,8 +10,8 @@ from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
 from congelation.conformance.description import Value, Variable
 from congelation.conformance.probe import read
-from congelation.conformance.rule import Level, NotApplicable, dynamic
-from congelation.conformance.trajectory import Grid, demand, excite, inputs, simulate
+from congelation.conformance.rule import Level, dynamic, require
+from congelation.conformance.trajectory import Grid, demand, excite, inputs
 
 __all__: list[str] = []
 
@@ -20,11 +20,6 @@ __all__: list[str] = []
 # slave that ignores the size of the step.
 _SPLIT_RELATIVE = 1e-2
 _SPLIT_ABSOLUTE = 1e-6
-
-
-def _variable_steps(bench: Bench) -> None:
-    if not bench.description.flag("canHandleVariableCommunicationStepSize"):
-        raise NotApplicable("canHandleVariableCommunicationStepSize is false")
 
 
 def _continuous_outputs(bench: Bench) -> tuple[Variable, ...]:
@@ -48,10 +43,9 @@ def splitting(bench: Bench) -> Iterator[str]:
 
     Example: An inner step of 10 ms, whatever h is.
     """
-    _variable_steps(bench)
+    bench.require_flag("canHandleVariableCommunicationStepSize")
     outputs = _continuous_outputs(bench)
-    if not outputs:
-        raise NotApplicable("there is no continuous output")
+    require(outputs, "there is no continuous output")
     step, worst = bench.grid.step, ""
     for size in (step, 4.0 * step):
         before, whole = _constant_inputs(bench, outputs, [size])
@@ -105,8 +99,7 @@ def time_reached(bench: Bench) -> Iterator[str]:
     Example: Time that stays behind by a step.
     """
     clocks = tuple(v for v in bench.description.variables if v.causality == "independent")
-    if not clocks:
-        raise NotApplicable("there is no independent variable")
+    require(clocks, "there is no independent variable")
     with bench.held() as instance:
         for point in range(3):
             bench.run(instance, first=point, last=point + 1, quiet=True)
@@ -189,7 +182,7 @@ def rounded_points(bench: Bench) -> Iterator[str]:
         steps = min(steps, int(0.5 * (stop - bench.grid.start) / bench.grid.step))
     products = Grid(bench.grid.start, bench.grid.step, steps)
     with bench.held() as instance:
-        simulate(instance, bench.description, products, quiet=True)
+        bench.run(instance, grid=products, quiet=True)
     with bench.held() as instance:
         # Always the same h, with points k h: the sum of the steps drifts away from them.
         for point in range(steps):
@@ -250,7 +243,7 @@ def variable_steps(bench: Bench) -> Iterator[str]:
 
     Example: A step that is no multiple of the inner one is discarded.
     """
-    _variable_steps(bench)
+    bench.require_flag("canHandleVariableCommunicationStepSize")
     # Fixed seed: the same step sizes in every check.
     chance, time = random.Random(2), bench.grid.start
     stop = bench.description.experiment.stop
@@ -282,8 +275,7 @@ def synchronous(bench: Bench) -> Iterator[str]:
 
     Example: fmi2Pending without the flag.
     """
-    if bench.description.flag("canRunAsynchronuously"):
-        raise NotApplicable("canRunAsynchronuously is true")
+    require(not bench.description.flag("canRunAsynchronuously"), "canRunAsynchronuously is true")
     with bench.held() as instance:
         for point in range(bench.grid.steps):
             excite(instance, bench.description, point)

@@ -9,7 +9,7 @@ from itertools import pairwise
 from congelation.conformance.bench import Bench
 from congelation.conformance.description import Description, Unknown, Value
 from congelation.conformance.probe import feedthrough, initial_sensitivity
-from congelation.conformance.rule import Breach, Level, NotApplicable, dynamic, static
+from congelation.conformance.rule import Breach, Level, dynamic, require, static
 from congelation.conformance.rules.variables import at
 from congelation.conformance.subject import DESCRIPTION, Subject
 
@@ -123,8 +123,7 @@ def state_derivatives(subject: Subject) -> Iterator[Breach]:
     Example: An entry of Derivatives that is a plain local variable.
     """
     description = subject.description
-    if not description.derivatives:
-        raise NotApplicable("no Derivatives are listed")
+    require(description.derivatives, "no Derivatives are listed")
     for unknown in description.derivatives:
         v = description.variable(unknown.index)
         if v is None or "derivative" not in v.attributes:
@@ -252,8 +251,10 @@ def measured_initial_dependencies(bench: Bench) -> Iterator[str]:
     Example: y = g x with dependencies="".
     """
     unknowns = bench.description.initial_unknowns
-    if not any(unknown.dependencies is not None for unknown in unknowns):
-        raise NotApplicable("no InitialUnknown declares dependencies")
+    require(
+        any(unknown.dependencies is not None for unknown in unknowns),
+        "no InitialUnknown declares dependencies",
+    )
     measured, varied = initial_sensitivity(bench)
     yield from _compare(bench, "InitialUnknowns", unknowns, measured, varied)
 
@@ -273,9 +274,10 @@ def measured_feedthrough(bench: Bench) -> Iterator[str]:
     Example: w = x + u with dependencies="".
     """
     unknowns = bench.description.outputs
-    if not any(unknown.dependencies is not None for unknown in unknowns):
-        raise NotApplicable("no output declares dependencies")
+    require(
+        any(unknown.dependencies is not None for unknown in unknowns),
+        "no output declares dependencies",
+    )
     measured, varied = feedthrough(bench)
-    if not varied:
-        raise NotApplicable("there is no Real input")
+    require(varied, "there is no Real input")
     yield from _compare(bench, "Outputs", unknowns, measured, varied)

@@ -12,7 +12,7 @@ from congelation.conformance.binding import Status
 from congelation.conformance.description import BASE_TYPES, Value, Variable
 from congelation.conformance.instance import Instance
 from congelation.conformance.probe import read, shifted
-from congelation.conformance.rule import Level, NotApplicable, dynamic
+from congelation.conformance.rule import Level, dynamic, require
 from congelation.conformance.trajectory import by_base, demand, excite, inputs, same
 
 __all__ = ["UNKNOWN"]
@@ -53,8 +53,7 @@ def start_values(bench: Bench) -> Iterator[str]:
     Example: k = 1.6 in the code, start="1.5" in the XML.
     """
     started = tuple(v for v in bench.description.variables if v.start is not None)
-    if not started:
-        raise NotApplicable("no variable has a start value")
+    require(started, "no variable has a start value")
     instance = bench.fresh()
     demand(_initialized(bench, instance), "initialization")
     found = read(instance, tuple(v for v in started if v.initial != "approx"))
@@ -135,8 +134,7 @@ def fixed_values(bench: Bench) -> Iterator[str]:
     kept = tuple(
         v for v in bench.description.variables if v.variability in ("constant", "fixed", "tunable")
     )
-    if not kept:
-        raise NotApplicable("there are no constants, parameters or fixed variables")
+    require(kept, "there are no constants, parameters or fixed variables")
     with bench.held() as instance:
         before = read(instance, kept)
         bench.run(instance, quiet=True)
@@ -271,8 +269,7 @@ def wrong_type(bench: Bench) -> Iterator[str]:
     Example: fmi2GetReal with the reference of an Integer returns 0.
     """
     references = {base: found for base in BASE_TYPES if (found := _foreign(bench, base))}
-    if not references:
-        raise NotApplicable("every value reference exists for every type")
+    require(references, "every value reference exists for every type")
     bench.library.probe = "a reference of another type"
     yield from _not_error(bench, references)
 
@@ -291,8 +288,7 @@ def constants(bench: Bench) -> Iterator[str]:
     Example: fmi2OK.
     """
     found = [v for v in bench.description.variables if v.variability == "constant"]
-    if not found:
-        raise NotApplicable("there is no constant")
+    require(found, "there is no constant")
     for v in found:
         instance = bench.ready()
         _, (value,) = instance.get(v.base, [v.reference])
@@ -345,8 +341,7 @@ def ranges(bench: Bench) -> Iterator[str]:
     """
     description = bench.description
     judged = tuple(v for v in description.variables if v.element in ("Boolean", "Enumeration"))
-    if not judged:
-        raise NotApplicable("there are no Booleans and no enumerations")
+    require(judged, "there are no Booleans and no enumerations")
     with bench.held() as instance:
         for point in range(bench.grid.steps):
             found = read(instance, judged)
@@ -376,8 +371,7 @@ def strings_copied(bench: Bench) -> Iterator[str]:
     strings = [
         v for v in bench.description.variables if v.base == "String" and v.settable_before_start
     ]
-    if not strings:
-        raise NotApplicable("no String can be set")
+    require(strings, "no String can be set")
     instance = bench.fresh()
     for v in strings:
         text = str(v.start or "").encode()
@@ -424,8 +418,7 @@ def inputs_held(bench: Bench) -> Iterator[str]:
 
     Example: An input that is zeroed after each step.
     """
-    if not inputs(bench.description):
-        raise NotApplicable("there are no inputs")
+    require(inputs(bench.description), "there are no inputs")
     found = []
     for again in (True, False):
         with bench.held() as instance:

@@ -7,7 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterator
 
 from congelation.conformance.description import Variable
-from congelation.conformance.rule import Breach, Level, NotApplicable, static
+from congelation.conformance.rule import Breach, Level, NotApplicable, require, static
 from congelation.conformance.subject import DESCRIPTION, Subject
 
 __all__ = ["at"]
@@ -188,8 +188,7 @@ def independent(subject: Subject) -> Iterator[Breach]:
     Example: Time and t, both independent.
     """
     found = [v for v in subject.description.variables if v.causality == "independent"]
-    if not found:
-        raise NotApplicable("no variable is declared independent")
+    require(found, "no variable is declared independent")
     if len(found) > 1:
         yield at(found[-1], "independent are " + ", ".join(v.name for v in found))
     for v in found:
@@ -337,8 +336,7 @@ def derivatives(subject: Subject) -> Iterator[Breach]:
     """
     description = subject.description
     found = [v for v in description.variables if "derivative" in v.attributes]
-    if not found:
-        raise NotApplicable("no variable has the attribute derivative")
+    require(found, "no variable has the attribute derivative")
     for v in found:
         target = description.variable(int(v.attributes["derivative"]))
         if target is None or target.element != "Real" or target is v:

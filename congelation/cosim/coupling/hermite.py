@@ -174,6 +174,7 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         self.predicts = low and tolerance is not None and coupling.control == "prediction"
         self.halves = low and not self.predicts
         self.keeps = self.predicts or coupling.jumps == "pass"
+        self._passes = tolerance is not None and coupling.jumps == "pass"
         self.order = HELD if low else LOW
         self._accuracy = coupling.tolerance
         if tolerance is not None:
@@ -278,7 +279,9 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
             missed = np.abs(value + length * slope - new[0])
             error, worst = self._relative(missed, new)
             return Trial(HermiteState(points, LOW, J, length), error, HELD, worst, missed)
-        distances = estimated_error(piece, state.points, end, new, high=self._highest == HIGH)
+        distances = estimated_error(
+            piece, state.points, end, new, high=self._highest == HIGH, jumps=self._passes
+        )
         low, worst = self._relative(distances[0], new)
         order, next_order = LOW, self._highest
         error = low

@@ -25,6 +25,11 @@ mended: the second moment is f''''/24 h^7/1575, half of which, times the square 
 slave, is an error of its states. Over the step, for a slave whose rates are 1/h."""
 
 
+UNEXPLAINED = 2.0
+"""By so much a value changes more than its larger derivative at the two ends has it where it jumps
+in between. A smooth value that is resolved changes by hardly more than that derivative has it."""
+
+
 class Piece(NamedTuple):
     """The polynomials of all links over one step.
 
@@ -71,7 +76,7 @@ def opened(points: Points, end: float, order: int, reader: LinkReader) -> Piece:
 
 
 def estimated_error(
-    piece: Piece, points: Points, end: float, new: Floats, *, high: bool
+    piece: Piece, points: Points, end: float, new: Floats, *, high: bool, jumps: bool
 ) -> tuple[Floats, Floats | None]:
     """Estimated distances, shape (L,), of the links' polynomials from their values over a step.
 
@@ -85,6 +90,10 @@ def estimated_error(
         Values and derivatives at the end.
     high : bool
         Whether that of order 6 is wanted.
+    jumps : bool
+        Whether a value that changes more than its derivatives explain counts as a jump, which no
+        polynomial follows. Estimated as if it were smooth, it may pass as accurate: f'''' times
+        h^4 / 384 is 1/64 of a jump where steps are even, and less after a shorter one.
 
     Returns
     -------
@@ -110,6 +119,11 @@ def estimated_error(
     low: Floats = np.maximum(
         value * (h * h / (16.0 * (hg * hg))), slope * (h * h * h / (32.0 * hg * (h + h + g)))
     )
+    if jumps:
+        change = np.abs(new[0] - w[0])
+        explained = h * np.maximum(np.abs(w[1]), np.abs(new[1]))
+        jumped = np.where(change > UNEXPLAINED * explained, change / 2.0, 0.0)
+        low = np.maximum(low, jumped)
     if not high or len(before) < 2:
         return low, None
 
@@ -121,7 +135,8 @@ def estimated_error(
     share = top * top / (16.0 * (bottom * bottom))
     per_slope = 2.0 * (1.0 / h + 1.0 / hg + 1.0 / (h + k))
     quintic = np.maximum(value * share, slope * (share / per_slope))
-    return low, np.maximum(quintic, RESIDUE * low)
+    quintic = np.maximum(quintic, RESIDUE * low)
+    return low, np.maximum(quintic, jumped) if jumps else quintic
 
 
 def order_of_longer_step(low: float, high: float) -> int:

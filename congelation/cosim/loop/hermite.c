@@ -2,6 +2,7 @@
 
 enum { LOW = 4, HIGH = 6 };                        /* orders of a step */
 static const double RESIDUE = 16.0 / 3150.0;       /* interpolant.py */
+static const double UNEXPLAINED = 2.0;
 
 /* Room of a trial: 2 L numbers each for ends that are extrapolated, by all points and by two, 6 L for
    the data of the polynomials, 2 L each for what is found and distances; then that of the iterations. */
@@ -57,6 +58,13 @@ static int iterated(Loop *loop, const Plan *plan, const State *from, double time
     return DONE;
 }
 
+/* How far the polynomial of a link is off where the link jumps within the step, from its values and
+   derivatives at both ends; 0 where these explain its change. */
+static double jumped(const double *before, const double *after, ptrdiff_t L, double h) {
+    const double a = fabs(before[L]), b = fabs(after[L]), change = fabs(after[0] - before[0]);
+    return change > UNEXPLAINED * (h * (a > b ? a : b)) ? change / 2.0 : 0.0;
+}
+
 /* `estimated_error` of interpolant.py, and the order of the next step. */
 static void estimate(const Loop *loop, const Plan *plan, const State *from, State *to, double time,
                      double end, const int *back, int n_before, Trial *trial) {
@@ -82,6 +90,10 @@ static void estimate(const Loop *loop, const Plan *plan, const State *from, Stat
         const double slope = fabs(new[L + k] - expected[L + k]) * (h * h * h / (32.0 * hg * (h + h + g)));
         distance[k] = value > slope ? value : slope;
     }
+    for (ptrdiff_t k = 0; plan->shortest_kept > 0.0 && k < L; k++) {
+        const double jump = jumped(data + k, new + k, L, h);
+        if (jump > distance[k]) distance[k] = jump;
+    }
     const double low = relative(loop, distance, new);
     trial->error = low;
     if (plan->highest != HIGH || n_before < 2) return;
@@ -94,6 +106,8 @@ static void estimate(const Loop *loop, const Plan *plan, const State *from, Stat
         const double slope = fabs(new[L + k] - predicted[L + k]) * (share / per_slope);
         const double quintic = value > slope ? value : slope, residue = RESIDUE * distance[k];
         distance[L + k] = quintic > residue ? quintic : residue;
+        const double jump = plan->shortest_kept > 0.0 ? jumped(data + k, new + k, L, h) : 0.0;
+        if (jump > distance[L + k]) distance[L + k] = jump;
     }
     const double high = relative(loop, distance + L, new);
     if (plan->chooses) {
