@@ -105,4 +105,5 @@ def unpack_archive(file: Path, folder: Path, kind: str) -> None:
             archive.extractall(folder)
     except DAMAGED as error:
         reason = str(error).replace(f"{folder}/", "")  # which the user has not chosen
-        raise InvalidInput(f"{file} is not {kind}, or cannot be unpacked: {reason}") from error
+        what = "cannot be unpacked" if isinstance(error, OSError) else f"is not {kind}"
+        raise InvalidInput(f"{file} {what}: {reason}") from error

@@ -193,6 +193,8 @@ def _profile_values(
                 profile = Profile.from_spec(spec, section.place(key), folder)
             except ProfileError as error:  # its text begins with the place
                 raise InvalidInput(str(error)) from error
+            except ValueError as error:  # a zero in the name of a file
+                raise section.error(key, f"cannot be read: {error}") from error
             flat = section.attempt(key, partial(profile.to_flat, Slots.of(sizes.values())))
             found = {prefix + name: value for name, value in flat.items()}
         else:

@@ -86,11 +86,8 @@ class Table(Term):
         try:
             with open(name, encoding="utf-8-sig") as stream:
                 lines = stream.read().splitlines()
-        except (OSError, ValueError) as error:  # a zero in the name, or bytes that are no text
-            is_text = isinstance(error, UnicodeDecodeError)
-            reason = getattr(error, "strerror", None) or (
-                "not a text file in UTF-8" if is_text else str(error)
-            )
+        except (OSError, UnicodeDecodeError) as error:
+            reason = getattr(error, "strerror", None) or "not a text file in UTF-8"
             raise ProfileError(f"table file {name!r}: {reason}") from None
         times, values, numbers_of_lines = [], [], []
         header_possible = True
