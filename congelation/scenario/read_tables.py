@@ -140,7 +140,7 @@ def _component(section: Section, name: str) -> Component:
 def _find_fmu(section: Section, native: bool) -> Path:
     """The file that `fmu` names: a path from the scenario's folder, or a name in a fmus/ folder,
     or in the folder native of that."""
-    name = section.text("fmu")
+    name: str = section.as_kind("fmu", "text")
     home = Path(section.file).absolute().parent
     if name.endswith(".fmu"):
         if native:
@@ -166,7 +166,7 @@ def _experiment(section: Section) -> Experiment:
     values = section.read(keys.EXPERIMENT)
     options: Section = values["options"]
     values["options"] = {
-        key: options.seconds(key) if isinstance(value, Mapping) else value
+        key: options.as_kind(key, "time") if isinstance(value, Mapping) else value
         for key, value in options.data.items()
     }
     for key, value in options.data.items():
@@ -188,11 +188,11 @@ def _metric(section: Section, name: str) -> MetricSpec:
     of = () if found.loop else ("of",)
     section.require(*of).only(("metric", *of, *found.options))
     section.require(*(option for option, required in found.options.items() if required))
-    options = {key: section.number(key) for key in section.data if key in found.options}
+    options = {key: section.as_kind(key, "number") for key in section.data if key in found.options}
     for key in found.positive:
         if options.get(key, 1.0) <= 0.0:
             raise section.wrong(key, "a positive number")
-    return MetricSpec(name, found.name, section.text("of") if of else "", options)
+    return MetricSpec(name, found.name, section.as_kind("of", "text") if of else "", options)
 
 
 def _figure(section: Section) -> FigureSpec:

@@ -209,7 +209,7 @@ def _without_unit(section: Section, key: str, description: Description) -> objec
     if not isinstance(section.data[key], Mapping):
         return section.data[key]
     quantity = section.section(key).only(("value", "unit")).require("value", "unit")
-    unit = quantity.text("unit")
+    unit = quantity.as_kind("unit", "text")
     named = [v for n, v in description.variables.items() if n == key or n.startswith(f"{key}[")]
     declared = sorted({variable.unit or "1" for variable in named})
     if not declared or declared == [unit]:
