@@ -343,7 +343,8 @@ SPEC = Table(
             None,
             True,
             choices=_words(
-                "scalar matched strict-feedback observer reference disturbance noise saturation lag delay"
+                "scalar matched strict-feedback observer "
+                "reference disturbance noise saturation lag delay"
             ),
         ),
         Key("structure", "table", "what the form is derived from", table=STRUCTURE),
