@@ -154,7 +154,7 @@ METRIC = Table(
         Key("metric", "text", "which one", None, True),
         Key("of", "text", "variable or vector that it is of; metrics of the closed loop have none"),
     ),
-    extra=Key("OPTION", "number", "an option of the metric"),
+    extra=Key("OPTION", "quantity", "an option of the metric"),
 )
 
 FIGURE = Table(
@@ -448,6 +448,7 @@ _SCHEMAS: Mapping[str, Callable[[Key], dict[str, Any]]] = {
     "numbers": lambda key: _NUMBERS,
     "integer": lambda key: {**_number(key), "type": "integer"},
     "boolean": lambda key: {"type": "boolean"},
+    "quantity": lambda key: {"anyOf": [_number(key), _quantity({"type": "string"})]},
     "time": lambda key: {
         "anyOf": [_number(key), _quantity({"type": "string", "enum": list(TIME_UNITS)})]
     },

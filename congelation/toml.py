@@ -99,6 +99,7 @@ KINDS: Mapping[str, str] = {
     "numbers": "an array of numbers",
     "integer": "a whole number",
     "boolean": "true or false",
+    "quantity": 'a number, or {value = .., unit = ".."}',
     "time": 'a number of seconds, or {value = .., unit = ".."}',
     "table": "a table",
     "tables": "an array of tables",
@@ -352,7 +353,7 @@ _READERS: Mapping[str, _Reader] = {
         "an array with at least one value",
         lambda v: tuple(v) if isinstance(v, list) and v else None,
     ),
-    **dict.fromkeys(("value", "terms", "matrix"), lambda s, key: s.data[key]),
+    **dict.fromkeys(("quantity", "value", "terms", "matrix"), lambda s, key: s.data[key]),
 }
 
 
