@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from benchmarks.coupling.problems import Problem
 from congelation.cosim import Result, simulate
-from congelation.cosim.error_bars import FLOOR, MOST_LEVELS, NOT_RESOLVED
+from congelation.cosim.bands import FLOOR
+from congelation.cosim.error_bars import MOST_LEVELS, NOT_RESOLVED
 
 __all__ = ["FIXED", "TOLERANT", "Pair", "Setting", "goals", "measure", "per_problem", "settings"]
 

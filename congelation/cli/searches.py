@@ -72,11 +72,7 @@ def attack(
     """Search for the theta(t) that does most harm; exit code 3 if it breaks a certificate."""
     folder = out if out is not None else Path("results") / f"{scenario.stem}_attack"
     check_folder("--out", folder)
-    try:
-        found = _with_progress(scenario, objective, vary, variant, effort, seed, workers)
-    except KeyboardInterrupt as error:
-        complain("interrupted")
-        raise typer.Exit(INTERRUPTED) from error
+    found = _with_progress(scenario, objective, vary, variant, effort, seed, workers)
     files = write_finds(found, folder)
     print_table(
         f"{found.scenario.title}: the worst theta(t) found (lower bounds on the worst case)",

@@ -48,7 +48,7 @@ NEAR = 1e-9
 WORTH = 2.0
 """Seconds that a run must have left for a second process to be worth its start."""
 
-LOOKED_AT = 0.1
+LOOKED_AT = 0.05
 """Seconds of steps after which the length of a run is estimated."""
 
 PROCESSORS = 2
@@ -336,15 +336,13 @@ class Ahead:
 
     def _start(self) -> None:
         experiment = self._experiment
-        points = halved_grid(experiment)
-        assert points is not None  # as there is no tolerance
         self._folder = tempfile.TemporaryDirectory()
         rows = Path(self._folder.name, ROWS)
         request = (
             self._system,
             tightened(experiment, LOW if self._is_exact() else 1),
             Output(interval=self._output.interval, sink=_Doubles(rows)),
-            points[1:].tolist(),
+            experiment,  # of which the points are made there: the pipe holds few of them
             self._lacks,
             Path(self._folder.name, ENDED),
         )
@@ -400,9 +398,11 @@ def _serve() -> None:
     """What the process does."""
     from congelation.cosim.master import perform  # which knows this module
 
-    system, experiment, output, points, lacks, ended = pickle.load(sys.stdin.buffer)
+    system, experiment, output, first, lacks, ended = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_end_with_input, daemon=True).start()
-    result = perform(system, experiment, output=output, points=points, lacks=lacks)
+    points = halved_grid(first)
+    assert points is not None  # as there is no tolerance
+    result = perform(system, experiment, output=output, points=points[1:].tolist(), lacks=lacks)
     part = ended.with_suffix(".part")
     part.write_bytes(pickle.dumps(result))
     part.replace(ended)

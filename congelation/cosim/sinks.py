@@ -10,8 +10,6 @@ from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
-import pyarrow
-import pyarrow.parquet
 
 from congelation.errors import InvalidInput
 
@@ -92,6 +90,10 @@ class ParquetFile(Sink):
         InvalidInput
             It cannot be written there.
         """
+        # It takes an eighth of the time in which a process starts, and few runs write files.
+        import pyarrow
+        import pyarrow.parquet
+
         self._schema = pyarrow.schema([(name, pyarrow.float64()) for name in columns])
         try:
             if self.path.is_dir():
@@ -102,6 +104,8 @@ class ParquetFile(Sink):
 
     def write(self, block: Floats) -> None:
         """Write a row group."""
+        import pyarrow
+
         if len(block):
             columns = [pyarrow.array(column) for column in block.T]
             self._writer.write_table(pyarrow.Table.from_arrays(columns, schema=self._schema))

@@ -212,7 +212,7 @@ def describe(path: Path) -> Description:
     name = os.path.abspath(path)
     try:
         status = os.stat(name)
-    except OSError:
+    except (OSError, ValueError):
         status = None
     if status is not None and stat.S_ISDIR(status.st_mode):
         raise InvalidInput(f"{path}: this is a folder; give an FMU (.fmu)")

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import fmpy
 
 from congelation.errors import counted
 from congelation.fmi.description import describe
+from congelation.fmi.library import binaries_of, binary
 
 __all__ = ["FmuInfo", "VariableInfo", "fmu_info"]
 
@@ -19,13 +20,38 @@ _ELEMENT = re.compile(r"\[\d+(,\d+)*\]$")
 
 @dataclass(frozen=True)
 class VariableInfo:
-    """A variable, its unit, and the value that it has if nobody sets it."""
+    """A variable, its unit, and the value that it has if nobody sets it.
+
+    Attributes
+    ----------
+    name, type, unit : str
+    start : str or None
+    description : str
+    least, most : float or None
+        Its minimum and maximum.
+    items : dict
+        Of an enumeration: the value of each item, by its name.
+    """
 
     name: str
     type: str
     unit: str
     start: str | None
     description: str
+    least: float | None = None
+    most: float | None = None
+    items: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def range(self) -> str:
+        """What values it may have, as far as the FMU says; empty if it does not."""
+        if self.items:
+            return ", ".join(f"{name} = {value}" for name, value in self.items.items())
+        if self.least is not None and self.most is not None:
+            return f"from {self.least:g} to {self.most:g}"
+        if self.least is not None:
+            return f"at least {self.least:g}"
+        return "" if self.most is None else f"at most {self.most:g}"
 
 
 @dataclass(frozen=True)
@@ -49,6 +75,10 @@ class FmuInfo:
         Whether steps can be taken back (canGetAndSetFMUstate).
     varies_step : bool
         Whether steps may be of different lengths.
+    binaries : tuple of str
+        The platforms and files that it can run on, ``linux64/Plant.so``.
+    missing : str
+        The binary that this machine needs and that it has not; empty where it can be run here.
     """
 
     path: Path
@@ -63,6 +93,8 @@ class FmuInfo:
     step: float | None
     saves_state: bool
     varies_step: bool
+    binaries: tuple[str, ...] = ()
+    missing: str = ""
 
     def __str__(self) -> str:
         abilities = [
@@ -78,6 +110,11 @@ class FmuInfo:
             lines.append(
                 "  its host needs a Python 3.9 or newer; "
                 "`congelation build SPEC --native` makes an FMU that does not"
+            )
+        if self.missing:
+            held = ", ".join(self.binaries) or "none at all"
+            lines.append(
+                f"  it cannot be run here: it has no binary {self.missing}; there is {held}"
             )
         for title, group in (
             ("inputs to connect", self.connect),
@@ -101,10 +138,20 @@ def fmu_info(path: Path) -> FmuInfo:
     known = describe(path)
     model = fmpy.read_model_description(os.fspath(path), validate=False)
     experiment = model.defaultExperiment
+    binaries, wanted = binaries_of(path), binary(known.model_identifier)
 
     def of(causality: str) -> list[VariableInfo]:
         return [
-            VariableInfo(v.name, v.type, v.unit or "", v.start, v.description or "")
+            VariableInfo(
+                v.name,
+                v.type,
+                v.unit or "",
+                v.start,
+                v.description or "",
+                known.variables[v.name].least,
+                known.variables[v.name].most,
+                dict(known.variables[v.name].items),
+            )
             for v in model.modelVariables
             if v.causality == causality
         ]
@@ -125,6 +172,8 @@ def fmu_info(path: Path) -> FmuInfo:
         step=_number(experiment.stepSize) if experiment else None,
         saves_state=known.can_get_and_set_state,
         varies_step=known.can_vary_step,
+        binaries=binaries,
+        missing="" if wanted in binaries else wanted,
     )
 
 
@@ -161,7 +210,9 @@ def _table(group: tuple[VariableInfo, ...]) -> list[str]:
         starts = [v.start for v in members if v.start is not None]
         # Equal values of a vector are said once.
         shown = starts[:1] if len(set(starts)) == 1 else starts
-        rows.append((name, ", ".join(shown), ", ".join(filter(None, units)), first.description))
+        ranges = list(dict.fromkeys(v.range for v in members))
+        text = "; ".join(filter(None, (first.description, *ranges[: len(ranges) == 1])))
+        rows.append((name, ", ".join(shown), ", ".join(filter(None, units)), text))
     widths = [min(34, max(len(row[k]) for row in rows)) for k in range(3)]
     return [
         "    "

@@ -7,9 +7,10 @@ import itertools
 import multiprocessing.util
 import shutil
 import tempfile
+import zipfile
 from collections import deque
 from dataclasses import dataclass, field
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from weakref import WeakValueDictionary
 
 import fmpy
@@ -32,6 +33,8 @@ __all__ = [
     "WARNING",
     "Log",
     "Message",
+    "binaries_of",
+    "binary",
     "load",
     "unpack",
 ]
@@ -137,6 +140,18 @@ def unpack(description: Description) -> Path:
     return _FOLDERS[description.sha256]
 
 
+def binaries_of(path: Path) -> tuple[str, ...]:
+    """The binaries in an FMU by platform and file, ``linux64/Plant.so``."""
+    with zipfile.ZipFile(path) as archive:
+        parts = [PurePosixPath(name).parts for name in archive.namelist()]
+    return tuple(sorted("/".join(p[1:]) for p in parts if len(p) == 3 and p[0] == "binaries"))
+
+
+def binary(identifier: str) -> str:
+    """The binary that this machine needs of a model, as `binaries_of` names it."""
+    return f"{fmpy.platform}/{identifier}{fmpy.sharedLibraryExtension}"
+
+
 def load(
     description: Description, name: str, log: Log, *, exchange: bool = False
 ) -> FMU2Slave | FMU2Model:
@@ -166,12 +181,14 @@ def load(
     InvalidInput
         No binary for this platform, or one that cannot be loaded.
     """
+    # Not the whole path: an FMU of an archive lies where the user has put nothing.
+    what = f"component '{name}': {description.path.name}"
     folder = unpack(description)
     is_python = _claim_module(folder, description)
     kind, identifier = FMU2Slave, description.model_identifier
     if exchange:
         if description.equations is None:
-            raise InvalidInput(f"{description.path}: it offers no model exchange")
+            raise InvalidInput(f"{what} offers no model exchange")
         kind, identifier = FMU2Model, description.equations.model_identifier
     try:
         slave = kind(
@@ -181,14 +198,11 @@ def load(
             instanceName=name,
         )
     except Exception as error:  # fmpy raises bare Exception
-        binaries = sorted(f"{f.parent.name}/{f.name}" for f in folder.glob("binaries/*/*"))
-        held = ", ".join(binaries) if binaries else "none at all"
-        wanted = f"{fmpy.platform}/{identifier}{fmpy.sharedLibraryExtension}"
+        binaries, wanted = binaries_of(description.path), binary(identifier)
+        held = ", ".join(binaries) or "none at all"
         if wanted not in binaries:
-            raise InvalidInput(
-                f"{description.path}: it has no binary {wanted}; there is {held}"
-            ) from error
-        raise InvalidInput(f"{description.path}: {wanted} cannot be loaded: {error}") from error
+            raise InvalidInput(f"{what} has no binary {wanted}; there is {held}") from error
+        raise InvalidInput(f"{what}: {wanted} cannot be loaded: {error}") from error
     multiprocessing.util.Finalize(None, fmpy.freeLibrary, (slave.dll._handle,), exitpriority=2)
     slave.callbacks = _callbacks(log, formatted=is_python)
     slave.component = slave.fmi2Instantiate(

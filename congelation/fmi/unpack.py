@@ -104,4 +104,6 @@ def unpack_archive(file: Path, folder: Path, kind: str) -> None:
         with zipfile.ZipFile(file) as archive:
             archive.extractall(folder)
     except DAMAGED as error:
-        raise InvalidInput(f"{file} is not {kind}: {error}") from error
+        reason = str(error).replace(f"{folder}/", "")  # which the user has not chosen
+        what = "cannot be unpacked" if isinstance(error, OSError) else f"is not {kind}"
+        raise InvalidInput(f"{file} {what}: {reason}") from error

@@ -65,6 +65,9 @@ class Metric:
         True if such a metric is of every variable that the experiment records.
     positive : tuple of str
         Those of the options that have to be positive.
+    times, values : tuple of str
+        Those that are times, in seconds, and those that are in the unit of the variables: a
+        scenario may state a unit of them.
     """
 
     name: str
@@ -75,6 +78,8 @@ class Metric:
     loop: bool = False
     recorded: bool = False
     positive: tuple[str, ...] = ()
+    times: tuple[str, ...] = ()
+    values: tuple[str, ...] = ()
 
     @property
     def options(self) -> dict[str, bool]:
@@ -232,6 +237,7 @@ _BUILT_IN = (
         peak,
         "max_t |v(t)| for t >= after, the L_inf norm (Desoer and Vidyasagar 1975, ch. II)",
         _same,
+        times=("after",),
     ),
     Metric(
         "settling_time",
@@ -239,6 +245,7 @@ _BUILT_IN = (
         "inf {T >= 0 : |v(t)| <= below for all t >= T} (Astrom and Murray 2008, sec. 5.3)",
         _time,
         positive=("below",),
+        values=("below",),
     ),
     Metric(
         "overshoot",
@@ -247,6 +254,7 @@ _BUILT_IN = (
         " (Astrom and Murray 2008, sec. 5.3)",
         _ratio,
         scalar=True,
+        values=("reference",),
     ),
     Metric(
         "integral_of_square",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+import os
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -12,8 +12,9 @@ from typing import Any
 from congelation import keys
 from congelation.cosim.system import Component, Connection, Recorded, ResolvedSystem, System
 from congelation.errors import InvalidInput, nearest
-from congelation.fmi.description import EVENT, describe
-from congelation.scenario.metrics import metric
+from congelation.fmi.description import describe
+from congelation.scenario.doubts import doubts
+from congelation.scenario.metrics import Metric, metric
 from congelation.scenario.parts import (
     EXPERIMENT,
     Experiment,
@@ -23,7 +24,7 @@ from congelation.scenario.parts import (
     agreed,
 )
 from congelation.scenario.read_sweep import read_sweep
-from congelation.scenario.settings import SettingsReader, component_values
+from congelation.scenario.settings import SettingsReader, component_values, in_own_unit
 from congelation.toml import Section
 
 __all__ = ["read_scenario"]
@@ -48,7 +49,7 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
     except InvalidInput as error:
         raise InvalidInput(f"{document.file}: {error}") from error
     experiment = _experiment(top[EXPERIMENT])
-    metrics = tuple(_metric(s, name) for name, s in top["metrics"].subsections())
+    metrics = tuple(_metric(s, name, resolved) for name, s in top["metrics"].subsections())
     figures = tuple(_figure(s) for s in top["figures"])
     experiment, measured = _recording(top, resolved, experiment, metrics, figures)
     reader = SettingsReader(
@@ -79,53 +80,13 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
         "sweep": sweep,
         "open": top["open"],
         "measured": measured,
-        "warnings": (
-            *_doubtful(resolved, document.file),
-            *_out_of_range(resolved, variants, document.file),
-            *_mixed(resolved, metrics, document.file),
-            *_past_the_end(metrics, experiment, given, document.file),
-            *_forgotten(resolved, {*given, *left_open, *reader.driven}, document.file),
+        "warnings": tuple(
+            f"{document.file}: {doubt}"
+            for doubt in doubts(
+                resolved, experiment, metrics, variants, sweep, given, {*left_open, *reader.driven}
+            )
         ),
     }
-
-
-def _past_the_end(
-    metrics: Sequence[MetricSpec], experiment: Experiment, given: Collection[str], file: str
-) -> Iterator[str]:
-    """A line for a step that is longer than every run, and for each metric of later times."""
-    if f"{EXPERIMENT}.stop_time" in given:
-        return
-    horizon, step = experiment.stop_time - experiment.start_time, experiment.step
-    fixed = experiment.tolerance is None and f"{EXPERIMENT}.step" not in given
-    if fixed and step is not None and step > horizon:
-        yield (
-            f"{file}: {EXPERIMENT}.step = {step:g} is longer than the run, {horizon:g} s, which is "
-            "one step"
-        )
-    for found in metrics:
-        after = found.options.get("after", -math.inf)
-        if -math.inf < after < experiment.start_time:
-            yield (
-                f"{file}: metrics.{found.name}.after = {after:g} is before start_time = "
-                f"{experiment.start_time:g}: it has no effect"
-            )
-        if after > experiment.stop_time:
-            yield (
-                f"{file}: metrics.{found.name}.after = {after:g} is past stop_time = "
-                f"{experiment.stop_time:g}: the metric has no value"
-            )
-
-
-def _mixed(resolved: ResolvedSystem, metrics: Iterable[MetricSpec], file: str) -> Iterator[str]:
-    """A line for each metric that takes the norm of elements in different units."""
-    for found in metrics:
-        units = {c.variable.unit for c in resolved.recorded([found.of])} if found.of else ()
-        if len(units) > 1:
-            names = ", ".join(f"'{unit}'" for unit in sorted(units))
-            yield (
-                f"{file}: metrics.{found.name}: '{found.of}' has elements in {names}, whose norm "
-                "depends on the units; give a metric of each element"
-            )
 
 
 def _component(section: Section, name: str) -> Component:
@@ -140,7 +101,7 @@ def _component(section: Section, name: str) -> Component:
 def _find_fmu(section: Section, native: bool) -> Path:
     """The file that `fmu` names: a path from the scenario's folder, or a name in a fmus/ folder,
     or in the folder native of that."""
-    name = section.text("fmu")
+    name: str = section.as_kind("fmu", "text")
     home = Path(section.file).absolute().parent
     if name.endswith(".fmu"):
         if native:
@@ -153,7 +114,7 @@ def _find_fmu(section: Section, native: bool) -> Path:
     where = "fmus/native" if native else "fmus"
     folders = [folder / where for folder in (home, *home.parents, Path.cwd())]
     for folder in folders:
-        if (folder / f"{name}.fmu").is_file():
+        if os.path.isfile(folder / f"{name}.fmu"):
             return folder / f"{name}.fmu"
     built = sorted({f.stem for folder in folders for f in folder.glob("*.fmu")})
     build = f"{_BUILD} --native" if native else _BUILD
@@ -166,7 +127,7 @@ def _experiment(section: Section) -> Experiment:
     values = section.read(keys.EXPERIMENT)
     options: Section = values["options"]
     values["options"] = {
-        key: options.seconds(key) if isinstance(value, Mapping) else value
+        key: options.as_kind(key, "time") if isinstance(value, Mapping) else value
         for key, value in options.data.items()
     }
     for key, value in options.data.items():
@@ -180,7 +141,7 @@ def _experiment(section: Section) -> Experiment:
     return experiment
 
 
-def _metric(section: Section, name: str) -> MetricSpec:
+def _metric(section: Section, name: str, resolved: ResolvedSystem) -> MetricSpec:
     if "." in name or not name.strip():
         raise section.within(f"choose a name other than '{name}'")
     read = section.read(keys.METRIC)
@@ -188,11 +149,29 @@ def _metric(section: Section, name: str) -> MetricSpec:
     of = () if found.loop else ("of",)
     section.require(*of).only(("metric", *of, *found.options))
     section.require(*(option for option, required in found.options.items() if required))
-    options = {key: section.number(key) for key in section.data if key in found.options}
+    options: dict[str, float] = {}
+    for key in found.options:
+        if key in found.times and key in section.data:
+            options[key] = section.as_kind(key, "time")
+        elif isinstance(section.data.get(key), Mapping):
+            options[key] = _measured(section, key, found, resolved)
+        elif key in section.data:
+            options[key] = section.as_kind(key, "number")
     for key in found.positive:
         if options.get(key, 1.0) <= 0.0:
             raise section.wrong(key, "a positive number")
-    return MetricSpec(name, found.name, section.text("of") if of else "", options)
+    return MetricSpec(name, found.name, section.as_kind("of", "text") if of else "", options)
+
+
+def _measured(section: Section, key: str, found: Metric, resolved: ResolvedSystem) -> float:
+    """An option of a metric that states its unit, in that of the variables that are measured."""
+    if key not in found.values:
+        raise section.error(key, "takes no unit; give a number")
+    columns = section.attempt("of", partial(resolved.recorded, [section.as_kind("of", "text")]))
+    description = resolved.members[columns[0].member].description
+    value = in_own_unit(section, key, [column.variable for column in columns], description)
+    number: float = replace(section, data={key: value}).as_kind(key, "number")
+    return number
 
 
 def _figure(section: Section) -> FigureSpec:
@@ -259,63 +238,6 @@ def _open(resolved: ResolvedSystem, driven: Mapping[str, str], names: Iterable[s
                 raise InvalidInput(f"'{entry.name}' is driven by '{link}'; leave one of them out")
             found.add(entry.name)
     return found
-
-
-def _doubtful(resolved: ResolvedSystem, place: str) -> Iterator[str]:
-    """A line for each connection whose units or enumerations cannot be compared, and for each
-    announcement of jumps that is no time in seconds."""
-    for member in resolved.members:
-        named = member.description.variables.get(EVENT)
-        if named is not None and named.unit and member.description.announcement is None:
-            yield (
-                f"{place}: '{member.name}.{EVENT}' is in '{named.unit}', not in 's'; it is not "
-                "taken for an announcement of jumps"
-            )
-    for link in (*resolved.links, *resolved.discrete_links):
-        if link.doubt:
-            yield f"{place}: connection '{link.name}': {link.doubt}"
-
-
-def _out_of_range(
-    resolved: ResolvedSystem, variants: Iterable[Variant], place: str
-) -> Iterator[str]:
-    """A line for each start value that the FMU's own minimum or maximum excludes."""
-    given = [
-        (member, item.variable.name, item.value, f"component '{member.name}'")
-        for member in resolved.members
-        for item in member.start
-    ]
-    members = {member.name: member for member in resolved.members}
-    for variant in variants:
-        for setting, value in variant.settings.items():
-            owner, _, name = setting.partition(".")
-            if owner in members:
-                given.append((members[owner], name, value, f"variant '{variant.name}'"))
-    for member, name, value, where in given:
-        variable = member.description.variables[name]
-        if isinstance(value, bool | str):
-            continue
-        below = variable.least is not None and value < variable.least
-        if below or (variable.most is not None and value > variable.most):
-            bound = f"min = {variable.least:g}" if below else f"max = {variable.most:g}"
-            column = f"{member.name}.{name}"
-            yield f"{place}: {where}: '{column}' = {value:g}, where its FMU states {bound}"
-
-
-def _forgotten(resolved: ResolvedSystem, known: Collection[str], place: str) -> Iterator[str]:
-    """A line for each input that nothing drives or sets, and that is not meant to be left alone."""
-    for member in resolved.members:
-        description = member.description
-        for name, variable in description.variables.items():
-            if (
-                variable.causality == "input"
-                and f"{member.name}.{name}" not in known
-                and name not in description.open_inputs
-            ):
-                yield (
-                    f"{place}: input '{member.name}.{name}' has no connection and no start value; "
-                    f'connect it, set it, or list it in open = ["{member.name}.{name}"]'
-                )
 
 
 def _recording(

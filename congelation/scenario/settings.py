@@ -10,14 +10,14 @@ from pathlib import Path
 
 from congelation import keys
 from congelation.errors import InvalidInput, nearest
-from congelation.fmi.description import Description
+from congelation.fmi.description import Description, Variable
 from congelation.fmi.start_values import resolve_start
 from congelation.fmi.units import Conversion, conversion
 from congelation.scenario.parts import EXPERIMENT, Experiment, Scalar, agreed
 from congelation.signals import Profile, ProfileError, Slots, sizes_of_flat
 from congelation.toml import Section
 
-__all__ = ["SettingsReader", "component_values", "profile_prefixes"]
+__all__ = ["SettingsReader", "component_values", "in_own_unit", "profile_prefixes"]
 
 _PROFILE_OF = re.compile(r"Profile of (?P<name>[^:]+): ")
 _PROFILE_MEAN = re.compile(r"profile\[(\d+)\]\.mean")
@@ -161,7 +161,10 @@ def _start_values(section: Section, description: Description) -> dict[str, Scala
     InvalidInput
         An unknown variable, a value of the wrong type or shape, or another unit.
     """
-    plain = {key: _without_unit(section, key, description) for key in section.data}
+    plain = {
+        key: in_own_unit(section, key, _named(description, key), description)
+        for key in section.data
+    }
     found = resolve_start(description, plain, section.place(""))
     return {s.variable.name: s.value for s in found}
 
@@ -190,6 +193,8 @@ def _profile_values(
                 profile = Profile.from_spec(spec, section.place(key), folder)
             except ProfileError as error:  # its text begins with the place
                 raise InvalidInput(str(error)) from error
+            except ValueError as error:  # a zero in the name of a file
+                raise section.error(key, f"cannot be read: {error}") from error
             flat = section.attempt(key, partial(profile.to_flat, Slots.of(sizes.values())))
             found = {prefix + name: value for name, value in flat.items()}
         else:
@@ -204,13 +209,34 @@ def _profile_values(
     return values
 
 
-def _without_unit(section: Section, key: str, description: Description) -> object:
-    """The value under `key`, in the unit of its variable if it states one of its own."""
+def _named(description: Description, name: str) -> list[Variable]:
+    """The variables that the name of a scalar, vector or matrix stands for."""
+    return [v for n, v in description.variables.items() if n == name or n.startswith(f"{name}[")]
+
+
+def in_own_unit(
+    section: Section, key: str, named: Iterable[Variable], description: Description
+) -> object:
+    """The value under `key`, in the unit of the variables that it is of if it states its own.
+
+    Parameters
+    ----------
+    section : Section
+    key : str
+    named : iterable of Variable
+    description : Description
+        Of their FMU.
+
+    Raises
+    ------
+    InvalidInput
+        A unit that measures something else, or that cannot be compared.
+    """
     if not isinstance(section.data[key], Mapping):
         return section.data[key]
     quantity = section.section(key).only(("value", "unit")).require("value", "unit")
-    unit = quantity.text("unit")
-    named = [v for n, v in description.variables.items() if n == key or n.startswith(f"{key}[")]
+    unit = quantity.as_kind("unit", "text")
+    named = list(named)
     declared = sorted({variable.unit or "1" for variable in named})
     if not declared or declared == [unit]:
         return quantity.data["value"]

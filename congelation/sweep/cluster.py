@@ -8,6 +8,7 @@ shipped: then it gets the files by the hash of their content, and returns trajec
 from __future__ import annotations
 
 import hashlib
+import os
 import queue
 import socket
 import threading
@@ -122,7 +123,7 @@ class Cluster(Workers):
 
 def _files(values: Any) -> list[str]:
     """Those of some values that are the paths of files: tables of theta."""
-    return [value for value in values if isinstance(value, str) and Path(value).is_file()]
+    return [value for value in values if isinstance(value, str) and os.path.isfile(value)]
 
 
 def _same(value: Any) -> Any:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import math
+import os
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
@@ -384,8 +385,8 @@ class _Identity:
 
 
 def _text_content(value: str) -> str:
-    path = Path(value)
-    return file_hash(path) if path.is_file() else value
+    # Unlike Path.is_file, this answers for a text that is too long for a name, too.
+    return file_hash(Path(value)) if os.path.isfile(value) else value
 
 
 def _setting(case: Case, name: str) -> Scalar | None:

@@ -8,8 +8,8 @@ import pytest
 
 from benchmarks.coupling.problems import Problem, problem
 from congelation.cosim import Component, Output, ParquetFile, Status, System, rerun, simulate
-from congelation.cosim.bands import MARGIN, bands, error_name, variable_of
-from congelation.cosim.error_bars import FLOOR, trusted
+from congelation.cosim.bands import FLOOR, MARGIN, amplified, bands, error_name, variable_of
+from congelation.cosim.error_bars import trusted
 from congelation.cosim.experiment import Experiment
 from congelation.cosim.master import perform
 from congelation.errors import InvalidInput
@@ -53,6 +53,29 @@ def test_a_band_follows_the_times_and_not_the_rows():
     found = bands(time, difference, 4.0)[:, 0]
     assert found[near] == pytest.approx(MARGIN * 16.0 / 15.0)
     assert found[-5:].max() == 0.0
+
+
+def test_a_difference_that_grows_by_itself_is_told_from_errors_that_add_up():
+    time = np.linspace(0.0, 10.0, 1001)
+    grows = amplified(time, 1e-5 * np.exp(1.2 * time))
+    # 40 times what it was at half of the time; rows up to 0.1 s later count.
+    assert time[grows.argmax()] == pytest.approx((np.log(40.0) - 0.12) / 0.6, abs=0.011)
+    assert grows[grows.argmax() :].all()
+    for adds_up in (1e-3 * time, 1e-3 * time**4, 1e-3 * np.minimum(np.exp(5.0 * time - 15.0), 1.0)):
+        assert not amplified(time, adds_up).any()
+    assert not amplified(time, 1e-3 * FLOOR * np.exp(1.2 * time)).any()
+
+
+@pytest.mark.parametrize("tolerance", [1e-3, 1e-4, 1e-5])
+def test_chaos_is_told_in_time(parts, tolerance):
+    """At 1e-4, what grows of the early errors is by chance nearly the same in both runs."""
+    lorenz = problem("lorenz")
+    result = run(lorenz, parts, "full", "hermite", tolerance=tolerance, trust=True)
+    assert result.trust.verdicts == ("not resolved",) * 3
+    exact = lorenz.exact(result.time)
+    wrong = np.abs(result.values[:, :3] - exact) > 0.1 * np.abs(exact).max(axis=0)
+    for since, column in zip(result.trust.since, wrong.T, strict=True):
+        assert since <= result.time[column.argmax()]
 
 
 @pytest.mark.parametrize(

@@ -11,10 +11,12 @@ from congelation.cosim.pair_info import info
 from congelation.cosim.system import Component, Connection, System
 from congelation.errors import InvalidInput
 from congelation.fmi.description import Description, describe
-from congelation.fmi.library import Message
+from congelation.fmi.info import fmu_info
+from congelation.fmi.library import Message, binary
 from congelation.fmi.start_values import resolve_start
 from congelation.scenario.load import load_scenario
 from tests.scenarios import FMUS
+from tests.studies import command
 
 XML = """<fmiModelDescription fmiVersion="2.0" modelName="m" guid="{g}">
 <CoSimulation modelIdentifier="m"/>
@@ -192,3 +194,21 @@ def test_what_is_declared_discrete_throughout_is_continuous(
     held = [v for v in describe(copy).variables.values() if v.variability == "discrete"]
     assert held
     assert {v.is_held for v in held} == {not all_of_them}
+
+
+def test_info_shows_ranges_items_and_where_an_fmu_cannot_be_run(tmp_path: Path) -> None:
+    file = fmu(tmp_path)
+    with zipfile.ZipFile(file, "a") as archive:
+        archive.writestr("binaries/other64/m.bin", b"")
+    found = fmu_info(file)
+    (bounded, _) = found.parameters
+    assert (bounded.least, bounded.most, bounded.range) == (0.0, 5.0, "from 0 to 5")
+    assert {v.name: v.items for v in found.outputs}["a"] == {"low": 1}
+    assert found.missing == binary("m")
+    done = command("info", file)
+    assert done.returncode == 0
+    assert f"it cannot be run here: it has no binary {binary('m')}; there is other64/m.bin" in (
+        done.stdout
+    )
+    assert "low = 1" in done.stdout
+    assert fmu_info(FMUS / "ScalarPlant.fmu").missing == ""

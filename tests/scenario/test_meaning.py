@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -10,9 +11,11 @@ from typer.testing import CliRunner
 from congelation.cli import app
 from congelation.errors import InvalidInput
 from congelation.results.provenance import about
+from congelation.results.results import open_results
 from congelation.scenario.load import load_scenario
 from tests.cosim.test_units import with_units
 from tests.scenarios import FMUS, SCALAR, write
+from tests.studies import command
 
 LINK = '"plant.x -> controller.x", '
 
@@ -228,3 +231,90 @@ def test_announcements_are_in_seconds(tmp_path: Path, unit: str, announces: bool
     plant = scenario.system.resolve().members[0]
     assert plant.name == "plant"
     assert (plant.description.announcement is not None) is announces
+
+
+@pytest.mark.parametrize(
+    ("unit", "option", "equal"),
+    [
+        ("m", 'below = {value = 100, unit = "mm"}', "below = 0.1"),
+        ("degC", 'below = {value = 273.25, unit = "K"}', "below = 0.1"),
+        ("K", 'reference = {value = -272.65, unit = "degC"}', "reference = 0.5"),
+        ("m", 'after = {value = 500, unit = "ms"}', "after = 0.5"),
+    ],
+)
+def test_options_of_metrics_state_units(tmp_path: Path, unit: str, option: str, equal: str) -> None:
+    """A metric with the option in a unit of its own is that with one in the variable's."""
+    name = option.partition(" ")[0]
+    metric = {"below": "settling_time", "reference": "overshoot", "after": "peak"}[name]
+    texts = [f'{{metric = "{metric}", of = "plant.x", {given}}}' for given in (option, equal)]
+    old = '{metric = "settling_time", of = "plant.x", below = 0.1}'
+    change = (old, f"{texts[0]}\nsame = {texts[1]}")
+    file = scenario_with(tmp_path, {"x": unit, "x0[1]": unit}, change)
+    assert command("run", file, "--out", tmp_path / "out", "--progress", "quiet").returncode == 0
+    row = next(iter(open_results(tmp_path / "out").runs.rows()))
+    assert row["metric.settling_x"] == pytest.approx(row["metric.same"], rel=1e-9)
+    assert 0.0 < row["metric.same"] < 1.0
+
+
+@pytest.mark.parametrize(
+    ("metric", "message"),
+    [
+        (
+            'metric = "settling_time", of = "plant.x", below = {value = 1, unit = "s"}',
+            "below.unit = 's' is not the unit of 'below': 's' cannot become 'm'",
+        ),
+        (
+            'metric = "settling_time", of = "plant.x", below = {value = -1, unit = "mm"}',
+            "a positive number",
+        ),
+        (
+            'metric = "peak", of = "plant.x", after = {value = 1, unit = "m"}',
+            "after.unit = 'm' is no time",
+        ),
+    ],
+)
+def test_options_of_metrics_in_other_units_are_refused(
+    tmp_path: Path, metric: str, message: str
+) -> None:
+    old = 'metric = "settling_time", of = "plant.x", below = 0.1'
+    with pytest.raises(InvalidInput) as told:
+        load_scenario(scenario_with(tmp_path, {"x": "m"}, (old, metric)))
+    assert message in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("term", "doubt"),
+    [
+        ("square = {amplitude = 0.4, period = 1e-9}", "square[1].period' = 1e-09 makes 1e+09"),
+        ("sine = {amplitude = 0.4, omega = 1e300}", "sine[1].omega' = 1e+300 makes 1.6e+299"),
+        ("telegraph = {amplitude = 1, rate = 1e8, seed = 1}", "rate' = 1e+08 makes 1e+08"),
+        ("square = {amplitude = 0.0, period = 1e-9}", ""),
+        ("square = {amplitude = 0.4, period = 1e-5}", ""),
+    ],
+)
+def test_a_profile_that_no_steps_resolve_is_named(tmp_path: Path, term: str, doubt: str) -> None:
+    file = write(tmp_path, SCALAR, ("square = {amplitude = 0.4, period = 0.3}", term))
+    assert [doubt in warning for warning in load_scenario(file).warnings] == [True] * bool(doubt)
+
+
+def test_an_axis_that_leaves_the_range_of_a_variable_is_named(tmp_path: Path) -> None:
+    """Of lists each value, of random axes the ends of their range."""
+    fmu = tmp_path / "Bounded.fmu"
+    with zipfile.ZipFile(FMUS / "ScalarPlant.fmu") as old, zipfile.ZipFile(fmu, "w") as new:
+        for name in old.namelist():
+            data = old.read(name)
+            if name == "modelDescription.xml":
+                place = data.index(b"<Real", data.index(b'name="x0[1]"'))
+                data = data[:place] + b'<Real max="5"' + data[place + len(b"<Real") :]
+            new.writestr(name, data)
+    axes = (
+        "[sweep]\nsamples = 2\n[[sweep.axes]]\nset = 'plant.x0[1]'\n{}\n[[figures]]",
+        "'plant.x0[1]' = 7, where its FMU states max = 5",
+    )
+    for axis in ("uniform = [1, 7]", "values = [1, 7]"):
+        text = axes[0].format(axis)
+        text = text if "uniform" in axis else text.replace("samples = 2\n", "")
+        change = (f"{FMUS}/ScalarPlant.fmu", str(fmu))
+        file = write(tmp_path, SCALAR, change, ("[[figures]]", text))
+        (warning,) = load_scenario(file).warnings
+        assert warning == f"{file}: sweep: {axes[1]}"

@@ -14,6 +14,7 @@ from congelation.scenario.ssp import read_ssp
 UNITS = {
     "K": '<BaseUnit K="1"/>',
     "degC": '<BaseUnit K="1" offset="273.15"/>',
+    "<": "",  # no XML
 }
 HEAD = (
     '<ssd:SystemStructureDescription version="{version}" name="pair" '
@@ -262,3 +263,12 @@ def test_an_element_may_have_an_arrow_in_its_name(tmp_path: Path) -> None:
             after.writestr(name, data)
     assert [c.name for c in read_ssp(arrow).system.components] == ["a_c", "b"]
     assert len(read_ssp(arrow).system.connections) == len(scenario.system.connections)
+
+
+def test_an_fmu_inside_is_named_by_its_archive(tmp_path: Path) -> None:
+    """And not by the folder in which it lies unpacked, which the user has not chosen."""
+    with pytest.raises(InvalidInput) as told:
+        pair(tmp_path, fmu="<")
+    assert str(told.value).startswith(
+        f"{tmp_path / 'pair.ssp'}: m.fmu: unreadable modelDescription.xml: "
+    )

@@ -69,6 +69,11 @@ class Archive:
         """The error to raise about something in the archive."""
         return InvalidInput(f"{self.file}: {text}")
 
+    def named(self, error: InvalidInput) -> InvalidInput:
+        """An error about a file of the archive, which names both and not where it is unpacked."""
+        text = str(error).replace(f"{self.folder}/", "")
+        return InvalidInput(text) if text.startswith(str(self.file)) else self.error(text)
+
     def find(self, source: str, what: str) -> Path:
         """The file at the URI `source`.
 

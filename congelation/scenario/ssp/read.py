@@ -14,6 +14,7 @@ from typing import Any
 
 from lxml import etree
 
+from congelation.errors import InvalidInput
 from congelation.fmi.description import describe
 from congelation.scenario.scenario import EXPERIMENT, Scenario
 from congelation.scenario.ssp.archive import (
@@ -49,6 +50,14 @@ def read_ssp(file: Path, experiment: Mapping[str, object] | None = None) -> Scen
         of SSP 1.0, a name that does not exist, something that cannot be run.
     """
     archive = unpack(file)
+    try:
+        return _scenario(archive, experiment or {})
+    except InvalidInput as error:
+        raise archive.named(error) from error
+
+
+def _scenario(archive: Archive, experiment: Mapping[str, object]) -> Scenario:
+    file = archive.file
     content = archive.find(SSD, "an SSP archive").read_bytes()
     root = parse(content, DESCRIPTION, f"{file}: {SSD}")
     system = root.find("ssd:System", NAMESPACES)
@@ -68,7 +77,7 @@ def read_ssp(file: Path, experiment: Mapping[str, object] | None = None) -> Scen
     }
     stated = document.get(EXPERIMENT)
     document[EXPERIMENT] = experiment_table(
-        root, stated, components, connections, archive, experiment or {}
+        root, stated, components, connections, archive, experiment
     )
     text = content.decode(errors="replace")
     scenario = Scenario.from_document(Section(str(file), "", document), file, text)
