@@ -8,7 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.buffers import NO_DERIVATIVE
+from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import SlaveError
 

@@ -117,7 +117,7 @@ def _variants(axis: Section, known: Sequence[str]) -> tuple[str, ...]:
     """The variants that an axis is of; none where it is of all."""
     if "variants" not in axis.data:
         return ()
-    names = axis.texts("variants")
+    names: tuple[str, ...] = axis.as_kind("variants", "texts")
     if not names:
         raise axis.error("variants", "is empty; name the variants that the axis is of")
     for name in names:
