@@ -24,6 +24,7 @@ from congelation.design.tune import tune as search_gains
 from congelation.errors import InvalidInput
 from congelation.export.spec import read_spec
 from congelation.places import check_folder
+from congelation.report.summary import NOT_SETTLED
 from congelation.scenario.load import load_scenario
 
 __all__ = ["attack", "tune"]
@@ -261,7 +262,7 @@ def _print_tuning(found: Tuning, files: list[Path]) -> None:
 
 
 def _numbers(objectives: Mapping[str, float]) -> list[str]:
-    return [f"{v:.4g}" if v < math.inf else "never" for v in objectives.values()]
+    return [f"{v:.4g}" if v < math.inf else NOT_SETTLED for v in objectives.values()]
 
 
 def _gains(proposal: Proposal) -> str:

@@ -279,14 +279,14 @@ class Study:
 
     def signals(self, run: RunRecord) -> dict[str, object]:
         """The columns that follow from a profile alone, theta(t), with what determines them."""
-        return {
-            column: (
-                run.study,
-                run.replicate,
-                *sorted((n, repr(v)) for n, v in run.settings.items() if n.startswith(prefix)),
-            )
-            for column, prefix in self.about.get("signals", {}).items()
-        }
+        found: dict[str, object] = {}
+        for column, profile in self.about.get("profiles", {}).items():
+            fmu = self.about["fmus"][column.partition(".")[0]]["sha256"]
+            numbers = {name: run.settings.get(name, value) for name, value in profile.items()}
+            # A text is the name of a file, which another study may have found with other content.
+            own = (run.study,) if any(isinstance(v, str) and v for v in numbers.values()) else ()
+            found[column] = (fmu, *numbers.values(), *own)
+        return found
 
 
 def thin(values: Array, bins: int) -> npt.NDArray[np.intp]:
