@@ -26,6 +26,10 @@ LARGEST_ORDER = 100
 """Largest n, m and p of a spec: the derived expressions outgrow any memory long before."""
 
 
+def _words(text: str) -> tuple[str, ...]:
+    return tuple(text.split())
+
+
 def _term(kind: str) -> Key:
     """The key of a kind of term, from the fields that its class declares."""
     if kind == Constant.kind:
@@ -114,15 +118,7 @@ EXPERIMENT = Table(
             "text",
             "how inputs move between communication points",
             "auto",
-            choices=(
-                "auto",
-                "jacobi",
-                "gauss_seidel",
-                "derivative",
-                "hermite",
-                "sampled",
-                "model_exchange",
-            ),
+            choices=_words("auto jacobi gauss_seidel derivative hermite sampled model_exchange"),
         ),
         Key("options", "table", "options of the coupling", table=VALUES),
         Key(
@@ -346,17 +342,9 @@ SPEC = Table(
             "class of systems",
             None,
             True,
-            choices=(
-                "scalar",
-                "matched",
-                "strict-feedback",
-                "observer",
-                "reference",
-                "disturbance",
-                "noise",
-                "saturation",
-                "lag",
-                "delay",
+            choices=_words(
+                "scalar matched strict-feedback observer "
+                "reference disturbance noise saturation lag delay"
             ),
         ),
         Key("structure", "table", "what the form is derived from", table=STRUCTURE),

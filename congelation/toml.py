@@ -7,6 +7,7 @@ A `Table` lists the keys of a table of a file: type, default, unit, range and on
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -255,89 +256,15 @@ class Section:
         for key in self.data:
             yield key, self.section(key)
 
-    def text(self, key: str, default: str | None = None) -> str:
-        """The string under `key`, or `default`; an error if neither is given."""
-        if key not in self.data:
-            if default is None:
-                raise self.error(key, "is missing; give a string")
-            return default
-        value = self.data[key]
-        if not isinstance(value, str):
-            raise self.wrong(key, "a string")
-        if not value.strip():
-            raise self.wrong(key, "a string that is not empty")
-        return value
+    def as_kind(self, key: str, kind: str) -> Any:
+        """The value under a key that is there, read as one of `KINDS`.
 
-    def texts(self, key: str) -> tuple[str, ...]:
-        """The array of strings under `key`; empty if there is none."""
-        value = self.data.get(key, [])
-        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-            raise self.wrong(key, "an array of strings")
-        return tuple(value)
-
-    def array(self, key: str) -> tuple[object, ...]:
-        """The array under `key`, with at least one entry."""
-        value = self.data.get(key)
-        if not isinstance(value, list) or not value:
-            raise self.wrong(key, "an array with at least one value")
-        return tuple(value)
-
-    def numbers(self, key: str) -> tuple[float, ...]:
-        """The array of finite numbers under `key`; empty if there is none."""
-        value = self.data.get(key, [])
-        if not isinstance(value, list) or not all(_is_finite(v) for v in value):
-            raise self.wrong(key, "an array of numbers")
-        return tuple(float(v) for v in value)
-
-    def number(self, key: str, valid: str = "a number") -> float:
-        """The finite number under `key`."""
-        if key not in self.data:
-            raise self.error(key, f"is missing; give {valid}")
-        value = self.data[key]
-        if not _is_finite(value):
-            raise self.wrong(key, valid)
-        return float(value)
-
-    def seconds(self, key: str) -> float:
-        """The time under `key`: a number of seconds, or {value = 2, unit = "ms"}."""
-        valid = 'a number of seconds, or {value = .., unit = ".."}'
-        if not isinstance(self.data.get(key), Mapping):
-            return self.number(key, valid)
-        quantity = self.section(key).only(("value", "unit")).require("value", "unit")
-        unit = quantity.text("unit")
-        if unit not in TIME_UNITS:
-            raise quantity.error("unit", f"= '{unit}' is no time; {nearest(unit, TIME_UNITS)}")
-        seconds = quantity.number("value") * TIME_UNITS[unit]
-        if not math.isfinite(seconds):
-            raise self.wrong(key, "a time that is finite in seconds")
-        return seconds
-
-    def duration(self, key: str) -> float:
-        """The positive time under `key`."""
-        seconds = self.seconds(key)
-        if seconds <= 0.0:
-            raise self.wrong(key, "a positive time")
-        return seconds
-
-    def integer(self, key: str, default: int | None = None) -> int:
-        """The whole number under `key`, or `default`; an error if neither is given."""
-        if key not in self.data and default is not None:
-            return default
-        if key not in self.data:
-            raise self.error(key, "is missing; give a whole number")
-        value = self.data[key]
-        if isinstance(value, bool) or not isinstance(value, int):
-            raise self.wrong(key, "a whole number")
-        if abs(value) > LARGEST_INTEGER:
-            raise self.wrong(key, "a whole number of at most 64 bits")
-        return value
-
-    def boolean(self, key: str, default: bool) -> bool:
-        """The truth value under `key`, or `default`."""
-        value = self.data.get(key, default)
-        if not isinstance(value, bool):
-            raise self.wrong(key, "true or false")
-        return value
+        Raises
+        ------
+        InvalidInput
+            It is of another type.
+        """
+        return _READERS[kind](self, key)
 
     def attempt(self, key: str, action: Callable[[], T]) -> T:
         """The result of `action`; what it says of bad input gets this key's file and path."""
@@ -347,24 +274,87 @@ class Section:
             raise InvalidInput(f"{self.place(key)}: {error}") from error
 
 
-_READERS: Mapping[str, Callable[[Section, str], Any]] = {
-    "text": Section.text,
-    "texts": Section.texts,
+_Reader = Callable[[Section, str], Any]
+
+
+def _reader(valid: str, convert: Callable[[Any], Any]) -> _Reader:
+    """Reads what `convert` makes of a value; None: the value is not `valid`."""
+
+    def read(section: Section, key: str) -> Any:
+        value = convert(section.data[key])
+        if value is None:
+            raise section.wrong(key, valid)
+        return value
+
+    return read
+
+
+def _text(section: Section, key: str) -> str:
+    value = section.data[key]
+    if not isinstance(value, str):
+        raise section.wrong(key, "a string")
+    if not value.strip():
+        raise section.wrong(key, "a string that is not empty")
+    return value
+
+
+def _integer(section: Section, key: str) -> int:
+    value = section.data[key]
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise section.wrong(key, "a whole number")
+    if abs(value) > LARGEST_INTEGER:
+        raise section.wrong(key, "a whole number of at most 64 bits")
+    return value
+
+
+def _seconds(section: Section, key: str) -> float:
+    """A time: a number of seconds, or {value = 2, unit = "ms"}."""
+    value = section.data[key]
+    if not isinstance(value, Mapping):
+        if not _is_finite(value):
+            raise section.wrong(key, KINDS["time"])
+        return float(value)
+    quantity = section.section(key).only(("value", "unit")).require("value", "unit")
+    unit: str = quantity.as_kind("unit", "text")
+    if unit not in TIME_UNITS:
+        raise quantity.error("unit", f"= '{unit}' is no time; {nearest(unit, TIME_UNITS)}")
+    seconds: float = quantity.as_kind("value", "number") * TIME_UNITS[unit]
+    if not math.isfinite(seconds):
+        raise section.wrong(key, "a time that is finite in seconds")
+    return seconds
+
+
+def _texts(value: Any) -> tuple[str, ...] | None:
+    right = isinstance(value, list) and all(isinstance(v, str) for v in value)
+    return tuple(value) if right else None
+
+
+def _numbers(value: Any) -> tuple[float, ...] | None:
+    return (
+        tuple(map(float, value))
+        if isinstance(value, list) and all(map(_is_finite, value))
+        else None
+    )
+
+
+_READERS: Mapping[str, _Reader] = {
+    "text": _text,
+    "texts": _reader(KINDS["texts"], _texts),
     "name or names": lambda s, key: (
-        s.texts(key) if isinstance(s.data[key], list) else (s.text(key),)
+        s.as_kind(key, "texts") if isinstance(s.data[key], list) else (_text(s, key),)
     ),
-    "number": Section.number,
-    "numbers": Section.numbers,
-    "integer": Section.integer,
-    "boolean": lambda s, key: s.boolean(key, False),
-    "time": Section.seconds,
+    "number": _reader(KINDS["number"], lambda v: float(v) if _is_finite(v) else None),
+    "numbers": _reader(KINDS["numbers"], _numbers),
+    "integer": _integer,
+    "boolean": _reader(KINDS["boolean"], lambda v: v if isinstance(v, bool) else None),
+    "time": _seconds,
     "table": Section.section,
     "tables": lambda s, key: tuple(s.sections(key)),
-    "quantity": lambda s, key: s.data[key],
-    "value": lambda s, key: s.data[key],
-    "values": lambda s, key: s.array(key),
-    "terms": lambda s, key: s.data[key],
-    "matrix": lambda s, key: s.data[key],
+    "values": _reader(
+        "an array with at least one value",
+        lambda v: tuple(v) if isinstance(v, list) and v else None,
+    ),
+    **dict.fromkeys(("quantity", "value", "terms", "matrix"), lambda s, key: s.data[key]),
 }
 
 
@@ -380,9 +370,9 @@ def read_document(file: Path) -> tuple[str, Section]:
     InvalidInput
         If the file cannot be read or is not TOML; what else it is, if that is clear.
     """
-    if file.is_dir():
+    if os.path.isdir(file):  # unlike Path.is_dir, also of a name that is too long
         raise InvalidInput(f"{file}: this is a folder; give a file (.toml)")
-    if zipfile.is_zipfile(file):
+    if os.path.isfile(file) and zipfile.is_zipfile(file):
         raise InvalidInput(f"{file}: this is {_archive_kind(file)}")
     try:
         text = file.read_text(encoding="utf-8-sig")  # with or without a byte order mark

@@ -21,7 +21,6 @@ mixed = ["a", 1]
 vast = 1{zeros}
 large = 9223372036854775808
 never = {value = 1e308, unit = "h"}
-none = 0
 time = {value = 20, unit = "ms"}
 year = {value = 1, unit = "sec"}
 half = {value = 1}
@@ -40,15 +39,13 @@ def document() -> Section:
 
 
 def test_values_are_read(document: Section) -> None:
-    assert document.text("title") == "A title"
-    assert document.text("absent", "default") == "default"
-    assert document.number("number") == 3.0
-    assert isinstance(document.number("number"), float)
-    assert document.texts("names") == ("a", "b")
-    assert document.texts("absent") == ()
-    assert document.seconds("number") == 3.0
-    assert document.seconds("time") == document.duration("time") == 0.02
-    assert document.section("table").number("key") == -1.5
+    assert document.as_kind("title", "text") == "A title"
+    assert document.as_kind("number", "number") == 3.0
+    assert isinstance(document.as_kind("number", "number"), float)
+    assert document.as_kind("names", "texts") == ("a", "b")
+    assert document.as_kind("number", "time") == 3.0
+    assert document.as_kind("time", "time") == 0.02
+    assert document.section("table").as_kind("key", "number") == -1.5
     assert dict(document.section("absent").data) == {}
     assert [s.path for s in document.sections("list")] == ["list[1]", "list[2]"]
 
@@ -56,19 +53,22 @@ def test_values_are_read(document: Section) -> None:
 @pytest.mark.parametrize(
     ("read", "message"),
     [
-        (lambda d: d.text("number"), "a.toml: number = 3 is not valid; give a string"),
-        (lambda d: d.text("blank"), "a.toml: blank = ' ' is not valid; give a string"),
-        (lambda d: d.text("absent"), "a.toml: absent is missing; give a string"),
-        (lambda d: d.number("flag"), "a.toml: flag = true is not valid; give a number"),
-        (lambda d: d.number("huge"), "a.toml: huge = inf is not valid; give a number"),
-        (lambda d: d.number("absent"), "a.toml: absent is missing; give a number"),
-        (lambda d: d.number("vast"), "a.toml: vast = 1000"),
-        (lambda d: d.integer("large"), "a.toml: large = 9223372036854775808 is not valid; give a"),
-        (lambda d: d.seconds("never"), "a.toml: never = {value = 1e+308, unit = 'h'} is not"),
-        (lambda d: d.duration("none"), "a.toml: none = 0 is not valid; give a positive time"),
+        (lambda d: d.as_kind("number", "text"), "a.toml: number = 3 is not valid; give a string"),
+        (lambda d: d.as_kind("blank", "text"), "a.toml: blank = ' ' is not valid; give a string"),
+        (lambda d: d.as_kind("flag", "number"), "a.toml: flag = true is not valid; give a number"),
+        (lambda d: d.as_kind("huge", "number"), "a.toml: huge = inf is not valid; give a number"),
+        (lambda d: d.as_kind("vast", "number"), "a.toml: vast = 1000"),
+        (
+            lambda d: d.as_kind("large", "integer"),
+            "a.toml: large = 9223372036854775808 is not valid; give a",
+        ),
+        (
+            lambda d: d.as_kind("never", "time"),
+            "a.toml: never = {value = 1e+308, unit = 'h'} is not",
+        ),
         (lambda d: d.section("title"), "a.toml: title = 'A title' is not valid; give a table"),
         (
-            lambda d: d.texts("mixed"),
+            lambda d: d.as_kind("mixed", "texts"),
             "a.toml: mixed = ['a', 1] is not valid; give an array of strings",
         ),
         (
@@ -76,10 +76,10 @@ def test_values_are_read(document: Section) -> None:
             "a.toml: table = {key = -1.5} is not valid; give an array of tables, [[table]]",
         ),
         (
-            lambda d: d.seconds("year"),
+            lambda d: d.as_kind("year", "time"),
             "a.toml: year.unit = 'sec' is no time; did you mean 's'?",
         ),
-        (lambda d: d.seconds("half"), "a.toml: half.unit is missing"),
+        (lambda d: d.as_kind("half", "time"), "a.toml: half.unit is missing"),
         (
             lambda d: d.section("table").only(["kye", "other"]),
             "a.toml: table.key is not known here; did you mean 'kye'?",
@@ -104,12 +104,12 @@ def test_mistakes_are_told_with_their_place(
 def test_a_key_set_elsewhere_is_told_with_that_place() -> None:
     section = Section("a.toml", "experiment", {"step": "x"}, {"step": "variants[1].set.step"})
     with pytest.raises(InvalidInput, match=r"^a\.toml: variants\[1\]\.set\.step = 'x' is not"):
-        section.number("step")
+        section.as_kind("step", "number")
 
 
 def test_long_values_are_cut_in_messages() -> None:
     with pytest.raises(InvalidInput) as refused:
-        Section("a.toml", "", {"key": "x" * 500}).number("key")
+        Section("a.toml", "", {"key": "x" * 500}).as_kind("key", "number")
     assert len(str(refused.value)) < 120
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -11,7 +12,7 @@ import typer
 from rich.console import Console
 from rich.progress import Progress
 
-from congelation.cli.shared import BAD_INPUT, FAILED, INTERRUPTED
+from congelation.cli.shared import BAD_INPUT, FAILED
 from congelation.conformance.finding import FmuReport, Verdict
 from congelation.conformance.report import to_json, to_junit, to_lines, to_table
 from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Level
@@ -78,59 +79,54 @@ def check(
 ) -> None:
     """Check FMUs against the rules of FMI 2.0; exit code 1 on a violation."""
     level = Level(fail_on.value)
-    try:
-        chosen = select(rule or ()) or RULES
-        for option, target in (("--junit", junit), ("--json", json), ("--html", html)):
-            if target is not None:
-                if not target.absolute().parent.is_dir():
-                    raise InvalidInput(f"{option} {target}: there is no folder {target.parent}")
-                check_file(option, target)
-        console = Console(stderr=True)
-        with Progress(
-            console=console,
-            transient=True,
-            disable=not console.is_terminal,
-            # Findings that go to a file must not be printed above the bar instead.
-            redirect_stdout=sys.stdout.isatty(),
-        ) as progress:
-            task = progress.add_task("checking", total=len(fmus) * len(chosen))
+    chosen = select(rule or ()) or RULES
+    for option, target in (("--junit", junit), ("--json", json), ("--html", html)):
+        if target is not None:
+            if not target.absolute().parent.is_dir():
+                raise InvalidInput(f"{option} {target}: there is no folder {target.parent}")
+            check_file(option, target)
+    console = Console(stderr=True)
+    with Progress(
+        console=console,
+        transient=True,
+        disable=not console.is_terminal,
+        # Findings that go to a file must not be printed above the bar instead.
+        redirect_stdout=sys.stdout.isatty(),
+    ) as progress:
+        task = progress.add_task("checking", total=len(fmus) * len(chosen))
 
-            def advance(path: Path, verdict: Verdict) -> None:
-                text = f"{path.name} {verdict.rule.id}"
-                progress.update(task, advance=1, description=text)
+        def advance(path: Path, verdict: Verdict) -> None:
+            text = f"{path.name} {verdict.rule.id}"
+            progress.update(task, advance=1, description=text)
 
-            def announce(path: Path, scope: str) -> None:
-                # Here and not at the end, because the rules may take minutes.
-                progress.update(task, description=path.name)
-                print(f"{path}: {scope}", flush=True)
+        def announce(path: Path, scope: str) -> None:
+            # Here and not at the end, because the rules may take minutes.
+            progress.update(task, description=path.name)
+            print(f"{path}: {scope}", flush=True)
 
-            def tell(fmu: FmuReport) -> None:
-                if table:
-                    Console().print(to_table(fmu))
-                for line in to_lines(fmu):
-                    print(line, flush=True)
+        def tell(fmu: FmuReport) -> None:
+            if table:
+                Console().print(to_table(fmu))
+            for line in to_lines(fmu):
+                print(line, flush=True)
 
-            report = run_check(
-                fmus,
-                rules=rule or (),
-                static=static,
-                known=known,
-                jobs=jobs,
-                time_limit=time_limit,
-                opened=announce,
-                progress=advance,
-                done=tell,
-            )
-    except KeyboardInterrupt:
-        raise typer.Exit(INTERRUPTED) from None
+        report = run_check(
+            fmus,
+            rules=rule or (),
+            static=static,
+            known=known,
+            jobs=jobs,
+            time_limit=time_limit,
+            opened=announce,
+            progress=advance,
+            done=tell,
+        )
     for entry in report.unused:
         typer.echo(f"{known}: nothing was found for {entry}; remove the entry", err=True)
-    if json is not None:
-        text = to_json(report) + "\n"
-        replace_whole(json, lambda file: file.write_text(text, encoding="utf-8"))
-    if junit is not None:
-        lines = to_junit(report, level) + "\n"
-        replace_whole(junit, lambda file: file.write_text(lines, encoding="utf-8"))
+    for target, text in ((json, to_json(report)), (junit, to_junit(report, level))):
+        if target is not None:
+            content = f"{text}\n".encode()
+            replace_whole(target, partial(Path.write_bytes, data=content))
     if html is not None:
         write_conformance(report, html)
     if report.failures(level):

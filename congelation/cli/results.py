@@ -6,7 +6,7 @@ import re
 import webbrowser
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -32,9 +32,10 @@ from congelation.report.comparison import (
 from congelation.report.export_formats import write_csv, write_mat
 from congelation.report.pareto import draw_front, pareto_front
 from congelation.report.run_page import write_html
-from congelation.report.summary import number, summarise_groups
+from congelation.report.summary import metric_value, number, summarise_groups
 from congelation.report.text_table import aligned
 from congelation.results.print_figures import FORMATS, save
+from congelation.results.record import GROUPS
 from congelation.results.results import Results, open_results
 from congelation.sweep.plan import FAILURES
 
@@ -132,7 +133,7 @@ def report(
         front = pareto_front(study, pareto)
         if not front:
             raise InvalidInput(f"{folder}: no run has finite {' and '.join(pareto)}")
-        _print_rows([run.row() for run in front])
+        _print_rows([run.row() for run in front], study.about["metrics"])
         if len(pareto) == 2:
             place = figures or folder / "figures"
             for file in save(draw_front(study, pareto), place, "pareto", formats):
@@ -191,11 +192,12 @@ def ls(
     known = (Status.COMPLETED.name, Status.TERMINATED.name, *FAILURES)
     if wanted is not None and wanted not in known:
         raise InvalidInput(f"'{status}' is no status; valid: {', '.join(known)}")
-    rows = [r for r in open_results(folder).runs.rows() if wanted in (None, r["status"])]
+    results = open_results(folder)
+    rows = [r for r in results.runs.rows() if wanted in (None, r["status"])]
     if as_json:
         print_json(rows)
     else:
-        _print_rows(rows)
+        _print_rows(rows, results.about["metrics"])
 
 
 def show(
@@ -218,7 +220,8 @@ def show(
     if as_json:
         print_json(row)
         return
-    lines = [(name, number(value)) for name, value in row.items()]
+    metrics = results.about["metrics"]
+    lines = [(name, _cell(name, value, metrics)) for name, value in row.items()]
     print(aligned(lines[0], lines[1:]))
 
 
@@ -270,7 +273,13 @@ def _inches(text: str) -> float:
     return inches
 
 
-def _print_rows(rows: Sequence[Mapping[str, object]]) -> None:
+def _cell(name: str, value: Any, metrics: Mapping[str, Any]) -> str:
+    """A value of a column."""
+    metric = name.removeprefix(GROUPS["metrics"])
+    return metric_value(value, metrics[metric]) if metric in metrics else number(value)
+
+
+def _print_rows(rows: Sequence[Mapping[str, object]], metrics: Mapping[str, Any]) -> None:
     """One line per run: what it is, how it ended, its settings and metrics."""
     if not rows:
         print("no runs")
@@ -280,4 +289,4 @@ def _print_rows(rows: Sequence[Mapping[str, object]]) -> None:
     columns = first + [n for n in names if n.startswith("set.")] + ["status"]
     columns += [name for name in rows[0] if name.startswith("metric.")]
     header = [name.removeprefix("set.").removeprefix("metric.") for name in columns]
-    print(aligned(header, [[number(row[name]) for name in columns] for row in rows]))
+    print(aligned(header, [[_cell(n, row[n], metrics) for n in columns] for row in rows]))

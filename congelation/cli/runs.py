@@ -6,7 +6,6 @@ import re
 import shlex
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
@@ -39,8 +38,8 @@ from congelation.sweep.estimate import estimate
 from congelation.sweep.local import Local
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Workers
-from congelation.verify.assumptions import scenario_warnings
 from congelation.verify.reference import LARGEST_DEVIATION
+from congelation.verify.scenario_assumptions import scenario_warnings
 
 __all__ = ["export_ssp", "run", "sweep"]
 
@@ -137,16 +136,15 @@ def run(
         fmu_log.parent.mkdir(parents=True, exist_ok=True)
         fmu_log.write_text("", encoding="utf-8")
     folder = result_folder(found, out)
-    with _interrupts():
-        plan = plan_study(
-            found,
-            folder,
-            swept=False,
-            verify=verify,
-            trust=trust is Bars.BARS or (False if trust is None else trust.value),
-            timeout=timeout,
-            fmu_log=fmu_log,
-        )
+    plan = plan_study(
+        found,
+        folder,
+        swept=False,
+        verify=verify,
+        trust=trust is Bars.BARS or (False if trust is None else trust.value),
+        timeout=timeout,
+        fmu_log=fmu_log,
+    )
     results = _carried_out(plan, Local(workers), progress)
     records = results.study().records
     if as_json:
@@ -211,17 +209,16 @@ def sweep(
     found = _load(scenario, strict=strict)
     folder = result_folder(found, out)
     again = [as_status(status) for status in retry or ()]
-    with _interrupts():
-        plan = plan_study(
-            found,
-            folder,
-            swept=True,
-            resume=bool(resume or dry_run or again),
-            retry=again,
-            verify=verify,
-            timeout=timeout,
-            write=not dry_run,
-        )
+    plan = plan_study(
+        found,
+        folder,
+        swept=True,
+        resume=bool(resume or dry_run or again),
+        retry=again,
+        verify=verify,
+        timeout=timeout,
+        write=not dry_run,
+    )
     place = Local(workers or 1) if scheduler is None else Cluster(scheduler, ship=ship)
     if not as_json:
         _announce(plan, place, measured=dry_run or len(plan.missing) >= MEASURED)
@@ -273,16 +270,6 @@ def export_ssp(
             "gives one"
         )
     print(file)
-
-
-@contextmanager
-def _interrupts() -> Iterator[None]:
-    """End with one line on Ctrl-C before any run is done."""
-    try:
-        yield
-    except KeyboardInterrupt as error:
-        complain("interrupted")
-        raise typer.Exit(INTERRUPTED) from error
 
 
 def _load(file: Path, *, strict: bool, experiment: Mapping[str, object] | None = None) -> Scenario:
@@ -344,13 +331,12 @@ def _announce(plan: Plan, workers: Workers, *, measured: bool) -> None:
             )
     if not (measured and plan.missing):
         return
-    with _interrupts():
-        try:
-            print(estimate(plan, workers), flush=True)
-        except InvalidInput:
-            raise
-        except CongelationError as error:
-            print(f"no estimate: {error}", flush=True)
+    try:
+        print(estimate(plan, workers), flush=True)
+    except InvalidInput:
+        raise
+    except CongelationError as error:
+        print(f"no estimate: {error}", flush=True)
 
 
 def _complain_of_failures(records: Iterable[RunRecord]) -> int:

@@ -24,6 +24,7 @@ from congelation.design.tune import tune as search_gains
 from congelation.errors import InvalidInput
 from congelation.export.spec import read_spec
 from congelation.places import check_folder
+from congelation.report.summary import NOT_SETTLED
 from congelation.scenario.load import load_scenario
 
 __all__ = ["attack", "tune"]
@@ -71,11 +72,7 @@ def attack(
     """Search for the theta(t) that does most harm; exit code 3 if it breaks a certificate."""
     folder = out if out is not None else Path("results") / f"{scenario.stem}_attack"
     check_folder("--out", folder)
-    try:
-        found = _with_progress(scenario, objective, vary, variant, effort, seed, workers)
-    except KeyboardInterrupt as error:
-        complain("interrupted")
-        raise typer.Exit(INTERRUPTED) from error
+    found = _with_progress(scenario, objective, vary, variant, effort, seed, workers)
     files = write_finds(found, folder)
     print_table(
         f"{found.scenario.title}: the worst theta(t) found (lower bounds on the worst case)",
@@ -265,7 +262,7 @@ def _print_tuning(found: Tuning, files: list[Path]) -> None:
 
 
 def _numbers(objectives: Mapping[str, float]) -> list[str]:
-    return [f"{v:.4g}" if v < math.inf else "never" for v in objectives.values()]
+    return [f"{v:.4g}" if v < math.inf else NOT_SETTLED for v in objectives.values()]
 
 
 def _gains(proposal: Proposal) -> str:

@@ -18,6 +18,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from congelation.report.summary import summarise
+from congelation.report.verdict import reading_aids
 from congelation.results.print_figures import WIDTH, save
 from congelation.results.results import Results
 
@@ -123,6 +124,8 @@ def print_summary(results: Results) -> None:
     study = results.study()
     summary = summarise(study)
     print_table(study.about["title"], summary.columns, summary.lines)
+    for line in reading_aids(study):
+        print(line)
 
 
 def print_figures(

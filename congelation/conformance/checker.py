@@ -27,9 +27,7 @@ from congelation.conformance.finding import Verdict, verdict_of
 from congelation.conformance.host import ending
 from congelation.conformance.job import Ability, Job, binary_path, platform_folder
 from congelation.conformance.rule import (
-    CO_SIMULATION,
     DEFAULT_TIME_LIMIT,
-    MODEL_EXCHANGE,
     Breach,
     DynamicRule,
     NotApplicable,
@@ -126,12 +124,15 @@ class Checker:
             return line, False, line
         kinds = [
             name
-            for key, name in (("CoSimulation", CO_SIMULATION), ("ModelExchange", MODEL_EXCHANGE))
+            for key, name in (
+                ("CoSimulation", "co-simulation"),
+                ("ModelExchange", "model exchange"),
+            )
             if key in description.identifiers
         ]
         what = f"FMI {version or '2.0'} {' and '.join(kinds) or 'without interface'}{unpacked}"
         why = ""
-        if CO_SIMULATION not in kinds:
+        if "CoSimulation" not in description.identifiers:
             why = "no FMU for co-simulation; model exchange is called in FMUs of both kinds alone"
         elif binary_path(Path(), description).as_posix() not in {
             name.replace("\\", "/") for name in self._subject.names

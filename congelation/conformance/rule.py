@@ -20,9 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "BY_ID",
-    "CO_SIMULATION",
     "DEFAULT_TIME_LIMIT",
-    "MODEL_EXCHANGE",
     "NOT_RESTORED",
     "STATE_NOT_RESTORED",
     "Breach",
@@ -42,8 +40,6 @@ __all__ = [
 
 # A rule takes well under a second on a small FMU; the limit only has to tell slow from hung.
 DEFAULT_TIME_LIMIT = 60.0
-
-CO_SIMULATION, MODEL_EXCHANGE = "co-simulation", "model exchange"
 
 
 class Level(Enum):
@@ -120,8 +116,6 @@ class Rule:
         The demand in one sentence.
     quote, why, remedy, example : str
         The paragraphs of the rule's page.
-    interfaces : frozenset of str
-        The kinds of FMU (`CO_SIMULATION`, `MODEL_EXCHANGE`) that the rule is for.
     """
 
     id: str
@@ -132,7 +126,6 @@ class Rule:
     why: str
     remedy: str
     example: str
-    interfaces: frozenset[str]
 
     kind: ClassVar[str]
 
@@ -201,17 +194,12 @@ def _page(look: Callable[..., object]) -> dict[str, str]:
 
 
 def static(
-    name: str,
-    section: str,
-    level: Level,
-    *,
-    interfaces: Iterable[str] = (CO_SIMULATION, MODEL_EXCHANGE),
+    name: str, section: str, level: Level
 ) -> Callable[[Callable[[Subject], Iterable[str | Breach]]], StaticRule]:
     """Register a function as a static rule; its docstring is the rule's page."""
 
     def register(look: Callable[[Subject], Iterable[str | Breach]]) -> StaticRule:
-        kinds = frozenset(interfaces)
-        rule = StaticRule(name, section, level, interfaces=kinds, look=look, **_page(look))
+        rule = StaticRule(name, section, level, look=look, **_page(look))
         BY_ID[name] = rule
         return rule
 
@@ -227,7 +215,6 @@ def dynamic(
     ends_normally: bool = False,
     needs: str = "run",
     owns: Iterable[str] = (),
-    interface: str = CO_SIMULATION,
 ) -> Callable[[Callable[[Bench], Iterable[str | Breach]]], DynamicRule]:
     """Register a function as a dynamic rule; its docstring is the rule's page."""
 
@@ -236,7 +223,6 @@ def dynamic(
             name,
             section,
             level,
-            interfaces=frozenset({interface}),
             look=look,
             time_factor=time_factor,
             ends_normally=ends_normally,

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from congelation.cosim.buffers import NO_DERIVATIVE
 from congelation.cosim.coupling import AdaptiveStepper, Stepper
-from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.result import RunEnded
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import SlaveError

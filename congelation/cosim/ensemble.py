@@ -1,98 +1,26 @@
-"""Loaded slaves, and the arrays through which they talk.
-
-Y    every Real value that is read, slave by slave, each slave's in one call
-C    the polynomials of all inputs that are driven, links sorted by target:
-     u(t + s) = C[0] + C[1] s + C[2] s^2 / 2 + C[3] s^3 / 6
-
-Both are buffers between the FMUs and the coupling, whose C functions hold their addresses; they
-are written by every trial of a step and are no state of the coupling.
-"""
+"""Loaded slaves with the buffers through which a coupling talks to them."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from congelation.cosim.buffers import NO_DERIVATIVE, Inputs, Outputs, Transfer
 from congelation.cosim.result import RunEnded, Status
-from congelation.cosim.system import (
-    MAX_DERIVATIVE,
-    Link,
-    Recorded,
-    ResolvedSystem,
-)
-from congelation.fmi.description import EVENT, Description, Variable, derivative_name
+from congelation.cosim.system import Recorded, ResolvedSystem
 from congelation.fmi.slave import Slave, State
 
-__all__ = ["LARGEST_VALUE", "NO_DERIVATIVE", "Ensemble", "Transfer"]
+__all__ = ["LARGEST_VALUE", "Ensemble"]
 
 Floats = npt.NDArray[np.float64]
 Call = Callable[[], None]
 
 LARGEST_VALUE = 1e100
 """Beyond this a run counts as diverged: far above physics, far below overflow of a square."""
-
-NO_DERIVATIVE = -1
-"""Stands for the place of a derivative that the source does not provide."""
-
-
-@dataclass
-class _Part:
-    """What is read from one slave.
-
-    Parameters
-    ----------
-    plain : dict of str to Variable
-        Read by fmi2GetReal, the announcement of events last.
-    ranked : dict of str to Variable
-        Outputs whose derivative is read by fmi2GetRealOutputDerivatives.
-    """
-
-    plain: dict[str, Variable] = field(default_factory=dict)
-    ranked: dict[str, Variable] = field(default_factory=dict)
-
-    @property
-    def names(self) -> list[str]:
-        return [*self.plain, *(derivative_name(name, 1) for name in self.ranked)]
-
-    def add_derivative(self, description: Description, variable: Variable) -> None:
-        """Read the derivative of an output, if there is any way to."""
-        exact = description.derivative(variable, "output")
-        if exact is not None:
-            self.plain[exact.name] = exact
-        elif description.misfit(variable):
-            return
-        elif description.max_output_derivative_order > 0 and variable.causality == "output":
-            self.ranked[variable.name] = variable
-
-
-class Transfer(NamedTuple):
-    """One call that reads or sends values of a slave, as data; the compiled loop makes it as well.
-
-    Parameters
-    ----------
-    function : str
-        fmi2GetReal, fmi2SetReal, fmi2GetRealOutputDerivatives or fmi2SetRealInputDerivatives.
-    references : list of int, length n
-    orders : list of int
-        Of derivatives; empty for the first two functions.
-    values : array, shape (n,)
-        Where the values are read to, or sent from.
-    slots : sequence of (int, int)
-        The entries (order, link) of C that are gathered into `values` before they are sent, in
-        the units of the inputs; empty where `values` is a part of Y or C itself.
-    """
-
-    function: str
-    references: list[int]
-    orders: list[int]
-    values: Floats
-    slots: Sequence[tuple[int, int]] = ()
 
 
 class Ensemble:
@@ -116,29 +44,22 @@ class Ensemble:
 
     Attributes
     ----------
-    Y : array, shape (number of values,)
-    C : array, shape (4, L)
-    links : tuple of Link, length L
-        Sorted by target.
+    Y, read_names, reads, events, checked
+        As in `Outputs`; `read_names` are its names.
+    C, links, order, columns, writes, holds
+        As in `Inputs`.
     source, source_derivative : integer arrays, shape (L,)
         Places in Y of each link's output and of its derivative (or NO_DERIVATIVE).
-    order : integer array, shape (L,)
-        Highest derivative that the target takes.
     nominal : array, shape (L,)
-    columns : list of slice, one per slave
-        The links that drive it.
+    judged, judged_nominal : arrays, shape (W,)
+        Places in Y of the values that steps in halves are judged by, and their nominal values: the
+        sources of the links, and recorded continuous outputs of components with inputs.
     read : list of callables, one per slave
         Read its part of Y.
     write : list of callables, one per slave
         Send it its columns of C.
     hold : list of callables, one per slave
         Send it its columns of C[0] alone.
-    reads, writes, holds : list of list of Transfer, one per slave
-        What these three do, as data.
-    events : list of int
-        Places in Y of the announcements of jumps.
-    checked : list of array, one per slave
-        The parts of Y in which every value has to be finite.
     read_calls, write_calls : list of int, one per slave
         fmi2 calls that `read` and `write` take.
     stepping : bool
@@ -160,12 +81,38 @@ class Ensemble:
         events: bool,
         exchange: bool = False,
     ) -> None:
-        self.system = system
-        self._exchange = exchange
         self.slaves = tuple(slaves)
-        self._plan_outputs(recorded, derivatives, slopes, events)
-        self._plan_inputs(derivatives)
-        self._plan_judgement(recorded)
+        self._outputs = outputs = Outputs(
+            system, recorded, derivatives=derivatives, slopes=slopes, events=events
+        )
+        self.Y, self.read_names, self.reads = outputs.Y, outputs.names, outputs.reads
+        self.checked, self.events = outputs.checked, outputs.events
+        self.read = [self._calls(slave, t) for slave, t in zip(slaves, self.reads, strict=True)]
+        self.read_calls = list(map(len, self.reads))
+        self._inputs = inputs = Inputs(system, held=exchange)
+        self.C, self.links, self.order = inputs.C, inputs.links, inputs.order
+        self.columns, self.writes, self.holds = inputs.columns, inputs.writes, inputs.holds
+        self.write = [self._calls(slave, t) for slave, t in zip(slaves, self.writes, strict=True)]
+        self.hold = [self._calls(slave, t) for slave, t in zip(slaves, self.holds, strict=True)]
+        self.write_calls = list(map(len, self.writes))
+        sources = [(link.source, link.output.name) for link in self.links]
+        self.source = np.array([self.place(*source) for source in sources], np.intp)
+        self.source_derivative = np.array(
+            [self.slope_place(*source) if derivatives else NO_DERIVATIVE for source in sources],
+            np.intp,
+        )
+        self.nominal = np.array([link.output.nominal for link in self.links])
+        targets = {link.target for link in (*self.links, *system.discrete_links)}
+        known = [None, *self.source.tolist()]
+        further = {
+            place: item.variable.nominal
+            for item in recorded
+            if (place := outputs.place(item.member, item.variable.name)) not in known
+            and item.member in targets
+            and not item.variable.is_held
+        }
+        self.judged = np.array([*known[1:], *further], np.intp)
+        self.judged_nominal = np.array([*self.nominal.tolist(), *further.values()])
         self.begin(system)
 
     def begin(self, system: ResolvedSystem) -> None:
@@ -181,68 +128,15 @@ class Ensemble:
 
     # -- what is read -------------------------------------------------------------------------
 
-    def _plan_outputs(
-        self, recorded: Sequence[Recorded], derivatives: bool, slopes: bool, events: bool
-    ) -> None:
-        members, links = self.system.members, self.system.links
-        parts = [_Part() for _ in members]
-        driven = {(link.target, link.input.name) for link in links}
-        for link in links:
-            parts[link.source].plain[link.output.name] = link.output
-            if derivatives or slopes:
-                parts[link.source].add_derivative(members[link.source].description, link.output)
-        for item in recorded:
-            # A driven input is recorded as the value of its source.
-            if item.variable.type == "Real" and (item.member, item.variable.name) not in driven:
-                part = parts[item.member]
-                part.plain[item.variable.name] = item.variable
-                if slopes:
-                    part.add_derivative(members[item.member].description, item.variable)
-        for part, member in zip(parts, members, strict=True):
-            event = member.description.announcement
-            if event is not None and (part.plain.pop(EVENT, None) is not None or events):
-                part.plain[EVENT] = event
-        keys = [(m, name) for m, part in enumerate(parts) for name in part.names]
-        self.read_names = [f"{members[m].name}.{name}" for m, name in keys]
-        self._place = {key: place for place, key in enumerate(keys)}
-        self.Y: Floats = np.zeros(len(keys))
-        self.read_calls = [bool(part.plain) + bool(part.ranked) for part in parts]
-        self.read: list[Call] = []
-        self.reads: list[list[Transfer]] = []
-        self.checked: list[Floats] = []
-        self.events: list[int] = []
-        begin = 0
-        for part, slave in zip(parts, self.slaves, strict=True):
-            middle, end = begin + len(part.plain), begin + len(part.names)
-            reads = []
-            if part.plain:
-                references = [variable.reference for variable in part.plain.values()]
-                reads.append(Transfer("fmi2GetReal", references, [], self.Y[begin:middle]))
-            if part.ranked:
-                references = [variable.reference for variable in part.ranked.values()]
-                orders = [1] * len(references)
-                reads.append(
-                    Transfer("fmi2GetRealOutputDerivatives", references, orders, self.Y[middle:end])
-                )
-            self.reads.append(reads)
-            self.read.append(self._calls(slave, reads))
-            announces = EVENT in part.plain and slave.description.announcement is not None
-            if announces:
-                self.events.append(middle - 1)
-            # An announcement may be infinite, so the check of finite values stops before it.
-            self.checked.append(self.Y[begin : middle - announces])
-            begin = end
-
     def place(self, member: int, name: str) -> int:
         """Where a variable that is read stands in Y."""
-        return self._place[member, name]
+        place = self._outputs.place(member, name)
+        assert place is not None
+        return place
 
     def slope_place(self, member: int, name: str) -> int:
         """Where the derivative of a variable stands in Y, or NO_DERIVATIVE."""
-        description = self.system.members[member].description
-        if description.misfit(description.variables[name]):
-            return NO_DERIVATIVE
-        return self._place.get((member, derivative_name(name, 1)), NO_DERIVATIVE)
+        return self._outputs.slope_place(member, name)
 
     def read_all(self) -> None:
         """Read every slave."""
@@ -279,92 +173,6 @@ class Ensemble:
 
     # -- what is sent -------------------------------------------------------------------------
 
-    def _plan_inputs(self, derivatives: bool) -> None:
-        self.links = tuple(sorted(self.system.links, key=lambda link: link.target))
-        self.C: Floats = np.zeros((1 + MAX_DERIVATIVE, len(self.links)))
-        sources = [(link.source, link.output.name) for link in self.links]
-        self.source = np.array([self.place(*source) for source in sources], np.intp)
-        self.source_derivative = np.array(
-            [self.slope_place(*source) if derivatives else NO_DERIVATIVE for source in sources],
-            np.intp,
-        )
-        self.order = np.array([self._input_order(link) for link in self.links], np.intp)
-        self.nominal = np.array([link.output.nominal for link in self.links])
-        self.columns: list[slice] = []
-        self.hold: list[Call] = []
-        self.holds: list[list[Transfer]] = []
-        self.write: list[Call] = []
-        self.writes: list[list[Transfer]] = []
-        self.write_calls: list[int] = []
-        begin = 0
-        for m, slave in enumerate(self.slaves):
-            links = [link for link in self.links if link.target == m]
-            columns = slice(begin, begin + len(links))
-            references = [link.input.reference for link in links]
-            # Sorted by target, so that a slave's part of C[0] can be sent from where it stands.
-            if any(link.converts for link in links):
-                slots = [(0, k) for k in range(begin, columns.stop)]
-                holds = [Transfer("fmi2SetReal", references, [], np.zeros(len(links)), slots)]
-            elif links:
-                holds = [Transfer("fmi2SetReal", references, [], self.C[0, columns])]
-            else:
-                holds = []
-            writes = self._writes(columns)
-            self.columns.append(columns)
-            self.holds.append(holds)
-            self.writes.append(writes)
-            self.hold.append(self._calls(slave, holds))
-            self.write.append(self._calls(slave, writes))
-            self.write_calls.append(bool(links) + any(map(self._interpolates, links)))
-            begin = columns.stop
-
-    def _plan_judgement(self, recorded: Sequence[Recorded]) -> None:
-        sources = set(self.source.tolist())
-        targets = {link.target for link in (*self.links, *self.system.discrete_links)}
-        further: dict[int, float] = {}
-        for item in recorded:
-            variable = item.variable
-            place = self._place.get((item.member, variable.name))
-            if place is None or variable.is_held or place in sources or item.member not in targets:
-                continue
-            further[place] = variable.nominal
-        self.judged = np.array([*self.source.tolist(), *further], np.intp)
-        self.judged_nominal = np.array([*self.nominal.tolist(), *further.values()])
-
-    def _input_order(self, link: Link) -> int:
-        return 0 if self._exchange else self.system.input_order(link)
-
-    def _interpolates(self, link: Link) -> bool:
-        return not self._exchange and self.system.interpolates(link)
-
-    def _writes(self, columns: slice) -> list[Transfer]:
-        """What sends a slave all of its columns of C."""
-        numbered = list(enumerate(self.links[columns], columns.start))
-        transfers = []
-        plain = [(0, k, link.input.reference) for k, link in numbered] + [
-            (order, k, variable.reference)
-            for k, link in numbered
-            for order, variable in enumerate(link.target_derivatives[: self.order[k]], 1)
-            if variable is not None
-        ]
-        if plain:
-            references, slots = [r for _, _, r in plain], [(order, k) for order, k, _ in plain]
-            values = np.zeros(len(plain))
-            transfers.append(Transfer("fmi2SetReal", references, [], values, slots))
-        ranked = [
-            (order, k)
-            for k, link in numbered
-            if self._interpolates(link)
-            for order in range(1, 1 + MAX_DERIVATIVE)
-        ]
-        if ranked:
-            references = [self.links[k].input.reference for _, k in ranked]
-            orders, values = [order for order, _ in ranked], np.zeros(len(ranked))
-            transfers.append(
-                Transfer("fmi2SetRealInputDerivatives", references, orders, values, ranked)
-            )
-        return transfers
-
     def _calls(self, slave: Slave, transfers: Sequence[Transfer]) -> Call:
         """A function that makes all of some transfers."""
         calls = []
@@ -376,13 +184,8 @@ class Ensemble:
         return _chained(calls)
 
     def converted(self, slots: Sequence[tuple[int, int]]) -> tuple[Floats, Floats] | None:
-        """Factors and offsets to the units of the inputs, for entries (order, link) of C; None
-        where all units are the same."""
-        if not any(self.links[k].converts for _, k in slots):
-            return None
-        factor = np.array([self.links[k].factor for _, k in slots])
-        # A derivative has no offset.
-        return factor, np.array([0.0 if order else self.links[k].offset for order, k in slots])
+        """As `Inputs.converted`."""
+        return self._inputs.converted(slots)
 
     def _gathered(self, slots: Sequence[tuple[int, int]], values: Floats, send: Call) -> Call:
         """Take the entries (order, link) of C, and send them in the units of the inputs."""

@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.broyden import broyden_step, learnt
-from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.buffers import NO_DERIVATIVE
+from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.result import RunEnded, Status
 from congelation.fmi.description import derivative_name
 

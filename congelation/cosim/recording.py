@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.arguments import check_fields
+from congelation.cosim.buffers import NO_DERIVATIVE
 from congelation.cosim.coupling.polynomial import differentiation, interpolation, product
-from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.sinks import Recorder, Sink
 from congelation.cosim.system import Recorded
 from congelation.errors import InvalidInput, require_count

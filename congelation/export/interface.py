@@ -34,6 +34,16 @@ HIGHEST_ORDER = 3
 Start = float | int | bool | str
 
 
+# What follows from the causality: variability and initial.
+_NATURES: Mapping[str, tuple[str, str | None]] = {
+    "input": ("continuous", None),
+    "output": ("continuous", "calculated"),
+    "local": ("continuous", "calculated"),
+    "parameter": ("fixed", "exact"),
+    "calculatedParameter": ("fixed", "calculated"),
+}
+
+
 @dataclass(frozen=True)
 class ScalarVariable:
     """One row of the table.
@@ -44,40 +54,44 @@ class ScalarVariable:
     """
 
     name: str
-    type: str
     causality: str
-    variability: str
-    initial: str | None
-    start: Start | None
     description: str
     unit: str = ""
     depends: frozenset[str] = frozenset()
+    start: Start | None = None
+    type: str = "Real"
     open: bool = False
+
+    @property
+    def variability(self) -> str:
+        """That of FMI."""
+        return _NATURES[self.causality][0]
+
+    @property
+    def initial(self) -> str | None:
+        """That of FMI."""
+        return _NATURES[self.causality][1]
 
 
 # A parameter of native FMUs with profiles, behind all other variables. Python FMUs have it not, as
 # pythonfmu cannot tell the last successful time.
 _LEAVE_AT_JUMPS = ScalarVariable(
     "leave_at_jumps",
-    "Boolean",
     "parameter",
-    "fixed",
-    "exact",
-    False,
     "Whether fmi2DoStep ends at a jump inside the step: it returns fmi2Discard, and "
     "fmi2LastSuccessfulTime is the time of the jump",
+    start=False,
+    type="Boolean",
 )
 
 
 # Another one, of a delay; what the Python FMU can hold is not set.
 _CAPACITY = ScalarVariable(
     "capacity",
-    "Integer",
     "parameter",
-    "fixed",
-    "exact",
-    100_000,
     "How many steps are remembered at most",
+    start=100_000,
+    type="Integer",
 )
 
 
@@ -215,17 +229,8 @@ def state_variables(
         rates = ca.vertsplit(ca.vec(state.rate))
         starts = start_names(state, plant)
         for name, unit, rate, start in zip(v.names, v.units, rates, starts, strict=True):
-            row = ScalarVariable(
-                f"der({name})",
-                "Real",
-                "local",
-                "continuous",
-                "calculated",
-                None,
-                f"Time derivative of {name}",
-                _per_second(unit),
-                causes.behind(rate),
-            )
+            about, cause = f"Time derivative of {name}", causes.behind(rate)
+            row = ScalarVariable(f"der({name})", "local", about, _per_second(unit), cause)
             reference = references.get(row.name)
             if reference is None:
                 reference, behind = behind, behind + 1
@@ -301,12 +306,6 @@ def _per_second(unit: str, order: int = 1) -> str:
     return f"{unit}/{power}" if unit else f"1/{power}"
 
 
-def _input(name: str, description: str, unit: str, *, open: bool = False) -> ScalarVariable:
-    return ScalarVariable(
-        name, "Real", "input", "continuous", None, 0.0, description, unit, open=open
-    )
-
-
 def _inputs(model: Model) -> Iterable[ScalarVariable]:
     proper = [
         (name, unit, entry)
@@ -315,52 +314,43 @@ def _inputs(model: Model) -> Iterable[ScalarVariable]:
     ]
     for name, unit, entry in proper:
         disturbing = entry.source == "disturbance"  # 0 where nothing disturbs
-        yield _input(name, entry.variables.description, unit, open=disturbing)
+        about = entry.variables.description
+        yield ScalarVariable(name, "input", about, unit, start=0.0, open=disturbing)
     for order in range(1, HIGHEST_ORDER + 1):
         for name, unit, _ in proper:
             derivative = f"der({name})" if order == 1 else f"der({name},{order})"
             about = f"Derivative of order {order} of {name} at the communication point; 0: none"
-            yield _input(derivative, about, _per_second(unit, order), open=True)
+            unit = _per_second(unit, order)
+            yield ScalarVariable(derivative, "input", about, unit, start=0.0, open=True)
 
 
 def _dtheta(model: Model) -> Iterable[ScalarVariable]:
-    if model.theta is None:
-        return
-    for j, unit in enumerate(model.theta.units, start=1):
+    for j, unit in enumerate(() if model.theta is None else model.theta.units, start=1):
         about = f"Added to the profile of theta[{j}], held over a step"
-        yield _input(f"dtheta[{j}]", about, unit, open=True)
-
-
-def _output(name: str, description: str, unit: str, depends: frozenset[str]) -> ScalarVariable:
-    return ScalarVariable(
-        name, "Real", "output", "continuous", "calculated", None, description, unit, depends
-    )
+        yield ScalarVariable(f"dtheta[{j}]", "input", about, unit, start=0.0, open=True)
 
 
 def _outputs(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
     for output in model.outputs:
         v = output.variables
         for name, expression, unit in zip(v.names, v.elements, v.units, strict=True):
-            yield _output(name, v.description, unit, causes.behind(expression))
+            yield ScalarVariable(name, "output", v.description, unit, causes.behind(expression))
 
 
 def _derivatives(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
-    for output in model.outputs:
-        if not output.differentiated:
-            continue
-        v = output.variables
+    for v in (output.variables for output in model.outputs if output.differentiated):
         for name, expression, unit in zip(v.names, v.elements, v.units, strict=True):
-            depends = causes.behind(model.total_derivative(expression))
-            about = f"Time derivative of {name}"
-            yield _output(f"der({name})", about, _per_second(unit), depends)
+            about, depends = (
+                f"Time derivative of {name}",
+                causes.behind(model.total_derivative(expression)),
+            )
+            yield ScalarVariable(f"der({name})", "output", about, _per_second(unit), depends)
 
 
 def _theta(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
-    if model.theta is None:
-        return
-    v = model.theta
-    for name, unit, depends in zip(v.names, v.units, causes.theta, strict=True):
-        yield _output(name, v.description, unit, depends)
+    if (v := model.theta) is not None:
+        for name, unit, depends in zip(v.names, v.units, causes.theta, strict=True):
+            yield ScalarVariable(name, "output", v.description, unit, depends)
 
 
 def _next_event(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
@@ -372,60 +362,43 @@ def _next_event(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
     else:
         name = model.profiled.name
         about = f"Next time at which {name} or its slope jumps; infinite if it never does"
-    yield _output("next_event", about, "s", depends)
+    yield ScalarVariable("next_event", "output", about, "s", depends)
 
 
 def _locals(model: Model) -> Iterable[ScalarVariable]:
     """States that are not outputs: readable, so that nothing of the law is hidden."""
     shown = {output.variables.name for output in model.outputs}
-    for state in model.states:
-        v = state.variables
-        if v.name in shown:
-            continue
+    for v in (s.variables for s in model.states if s.variables.name not in shown):
         for name, unit in zip(v.names, v.units, strict=True):
-            yield ScalarVariable(
-                name, "Real", "local", "continuous", "calculated", None, v.description, unit
-            )
+            yield ScalarVariable(name, "local", v.description, unit)
 
 
 def _gains(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
-    for gain in model.gains:
-        v = gain.variables
+    for v in (gain.variables for gain in model.gains):
+        depends = causes.gains[v.name]
         for name, unit in zip(v.names, v.units, strict=True):
-            yield ScalarVariable(
-                name,
-                "Real",
-                "calculatedParameter",
-                "fixed",
-                "calculated",
-                None,
-                v.description,
-                unit,
-                causes.gains[v.name],
-            )
-
-
-def _fixed(name: str, kind: str, start: Start, description: str, unit: str) -> ScalarVariable:
-    return ScalarVariable(name, kind, "parameter", "fixed", "exact", start, description, unit)
+            yield ScalarVariable(name, "calculatedParameter", v.description, unit, depends)
 
 
 def _parameter(parameter: Parameter) -> Iterable[ScalarVariable]:
     v = parameter.variables
-    boolean = parameter.domain is Domain.BOOLEAN
+    kind, number = ("Boolean", bool) if parameter.domain is Domain.BOOLEAN else ("Real", float)
     for name, unit, default in zip(v.names, v.units, parameter.default, strict=True):
-        start: Start = bool(default) if boolean else float(default)
-        yield _fixed(name, "Boolean" if boolean else "Real", start, v.description, unit)
+        start: Start = number(default)
+        yield ScalarVariable(name, "parameter", v.description, unit, start=start, type=kind)
 
 
 def _starts(state: State, plant: bool) -> Iterable[ScalarVariable]:
     v = state.variables
     names = start_names(state, plant)
     for start_name, name, unit, start in zip(names, v.names, v.units, state.start, strict=True):
-        yield _fixed(start_name, "Real", float(start), f"Start value of {name}", unit)
+        about = f"Start value of {name}"
+        yield ScalarVariable(start_name, "parameter", about, unit, start=float(start))
 
 
 def _profile(j: int, of: str, profile: ProfileSlots) -> Iterable[ScalarVariable]:
     starts = profile.profile.to_flat(profile.slots)
     for row in profile.parameters:
-        about = f"Profile of {of}: {row.description}"
-        yield _fixed(f"profile[{j}].{row.name}", row.type, starts[row.name], about, row.unit)
+        name, about = f"profile[{j}].{row.name}", f"Profile of {of}: {row.description}"
+        start = starts[row.name]
+        yield ScalarVariable(name, "parameter", about, row.unit, start=start, type=row.type)

@@ -142,38 +142,31 @@ def add_model_exchange(
     # New variables, and units that only these have.
     parent = _child(root, "ModelVariables")
     variables = list(interface.variables)
+
+    def add(v: ScalarVariable, attributes: dict[str, str]) -> None:
+        element = ElementTree.SubElement(
+            parent,
+            "ScalarVariable",
+            {
+                "name": v.name,
+                "valueReference": str(len(variables)),
+                "description": v.description,
+                "causality": v.causality,
+                "variability": v.variability,
+                "initial": str(v.initial),
+            },
+        )
+        ElementTree.SubElement(element, v.type, attributes)
+        variables.append(v)
+
     for state in states:
         if state.derivative_reference == len(variables):
-            variables.append(state.derivative)
             v = state.derivative
-            element = ElementTree.SubElement(
-                parent,
-                "ScalarVariable",
-                {
-                    "name": v.name,
-                    "valueReference": str(state.derivative_reference),
-                    "description": v.description,
-                    "causality": v.causality,
-                    "variability": v.variability,
-                    "initial": str(v.initial),
-                },
-            )
-            ElementTree.SubElement(element, "Real", {"unit": v.unit} if v.unit else {})
-        _child(parent[state.derivative_reference], "Real").set(
-            "derivative", str(state.reference + 1)
-        )
+            add(v, {"unit": v.unit} if v.unit else {})
+        derivative = _child(parent[state.derivative_reference], "Real")
+        derivative.set("derivative", str(state.reference + 1))
     for v in native_parameters(model, interface):
-        attributes = {
-            "name": v.name,
-            "valueReference": str(len(variables)),
-            "description": v.description,
-            "causality": v.causality,
-            "variability": v.variability,
-            "initial": str(v.initial),
-        }
-        element = ElementTree.SubElement(parent, "ScalarVariable", attributes)
-        ElementTree.SubElement(element, v.type, {"start": str(v.start).lower()})
-        variables.append(v)
+        add(v, {"start": str(v.start).lower()})
     root[list(root).index(_child(root, "UnitDefinitions"))] = _units(variables)
     _replace_structure(_child(root, "ModelStructure"), tuple(variables), states)
 

@@ -15,9 +15,9 @@ from congelation.errors import InvalidInput, counted
 from congelation.places import replace_whole
 from congelation.report.axes import axes_of
 from congelation.report.page_shell import Drawn, lines_of, opening, page, table
-from congelation.report.run_page import draw_overlaid
-from congelation.report.summary import label_of, number, short
-from congelation.report.verdict import listed, settled
+from congelation.report.run_page import draw_overlaid, trajectory_of
+from congelation.report.summary import label_of, metric_value, number, short
+from congelation.report.verdict import listed, settled, settling_rule
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 
@@ -258,7 +258,8 @@ def verdict(comparison: Comparison) -> Iterator[str]:
         # What became infinite, or finite, or unknown comes before any number.
         size, name, pair = max(changes, key=lambda entry: entry[0])
         a, b = pair.before.metrics.get(name), pair.after.metrics.get(name)
-        told = [f"{number(a)} before, {number(b)} now"] if number(a) != number(b) else []
+        was, now = (metric_value(v, comparison.metrics[name]) for v in (a, b))
+        told = [f"{was} before, {now} now"] if was != now else []
         told += [f"({percent(relative_change(a, b))})"] if math.isfinite(size) else []
         yield (
             f"{len(changes)} of {count * len(comparison.metrics)} metrics differ, most of all "
@@ -289,7 +290,7 @@ def changes_by_variant(comparison: Comparison) -> Iterator[tuple[str, list[str]]
             middles = []
             for values in zip(*both, strict=True):
                 known = [v for v in values if v is not None and not math.isnan(v)]
-                middles.append(number(median(known)) if known else "–")
+                middles.append(metric_value(median(known) if known else None, about))
             yield (
                 f"{variant}: {label_of(name, about)}",
                 [
@@ -315,19 +316,20 @@ def changes_by_run(comparison: Comparison) -> Iterator[tuple[str, list[str]]]:
     for pair in comparison.pairs:
         if pair.before.status != pair.after.status:
             yield f"{pair.label}: status", [pair.before.status, pair.after.status, "–", "–"]
-        quantities = [
-            (label_of(name, about), pair.before.metrics.get(name), pair.after.metrics.get(name))
-            for name, about in comparison.metrics.items()
-        ]
-        quantities.append(("macro steps", pair.before.steps, pair.after.steps))
-        for label, a, b in quantities:
+        steps = {"metric": "", "unit": ""}
+        for name, about in (*comparison.metrics.items(), ("macro steps", steps)):
+            a, b = (
+                run.steps if about is steps else run.metrics.get(name)
+                for run in (pair.before, pair.after)
+            )
             known = a is not None and b is not None and math.isfinite(a) and math.isfinite(b)
             difference = "–"
             if known:
                 change = b - a  # type: ignore[operator]
                 difference = f"{'+' if change > 0 else ''}{short(change, 3)}"
-            cells = [number(a), number(b), difference, percent(relative_change(a, b))]
-            yield f"{pair.label}: {label}", cells
+            cells = [*(metric_value(v, about) for v in (a, b)), difference]
+            cells.append(percent(relative_change(a, b)))
+            yield f"{pair.label}: {label_of(name, about)}", cells
 
 
 def _section(comparison: Comparison) -> Iterator[str]:
@@ -350,6 +352,8 @@ def _section(comparison: Comparison) -> Iterator[str]:
         lines = [(label, [name]) for label, name in comparison.alone[:LISTED]]
         yield from table(["only in"], lines, "Runs without a counterpart")
         yield "</details>"
+    if rule := settling_rule(comparison.studies[1]):
+        yield f'<p class="note">{escape(rule)}</p>'
     if comparison.own:
         said = [f"{metric} ({name})" for metric, name in comparison.own]
         yield (
@@ -378,11 +382,12 @@ def _most_changed(comparison: Comparison) -> Iterator[str]:
     for pair in changed[:LISTED]:
         ends = dict.fromkeys((pair.before.status, pair.after.status))
         cells = [" → ".join(ends)]
-        for name in comparison.metrics:
+        for name, about in comparison.metrics.items():
             a, b = pair.before.metrics.get(name), pair.after.metrics.get(name)
             change = relative_change(a, b)
+            was, now = metric_value(a, about), metric_value(b, about)
             said = f" ({percent(change)})" if math.isfinite(change) else ""
-            cells.append(f"{number(a)} → {number(b)}{said}" if change else number(a))
+            cells.append(f"{was} → {now}{said}" if change else was)
         lines.append((pair.label, cells))
     heads = ["status", *(label_of(n, about) for n, about in comparison.metrics.items())]
     yield (
@@ -434,7 +439,7 @@ def _overlaid(
     for variant in variants:  # so that the curves to compare stand beside each other
         for results, name, study in zip(directories, names, studies, strict=True):
             found += [
-                (f"{run.variant}, {name}", results.store.trajectory(run.run_id))
+                (f"{run.variant}, {name}", trajectory_of(results, study, run))
                 for run in study.records
                 if run.variant == variant and results.store.trajectory_file(run.run_id).is_file()
             ]

@@ -79,6 +79,8 @@ class Curve:
     numbers: tuple[float, float, float, float] = field(default=(math.nan,) * 4)
     """At the start, least, largest, at the end."""
     name: str = ""
+    others: tuple[int, ...] = ()
+    """Numbers of further variants, not of all, that have the same curve."""
 
 
 @dataclass(frozen=True)
@@ -180,29 +182,38 @@ def _curves(
     for k, column in enumerate(members):
         dash = DASHES[k % len(DASHES)]
         held = [(v, run) for v, run in runs if column in run.columns and len(run.time)]
-        if not held:
-            continue
-        first = held[0][1]
-        values = first.select((column,))[:, 0]
-        given = first.signals.get(column)
-        same = len(held) > 1 and all(
-            (given is not None and run.signals.get(column) == given)
-            or (
-                np.array_equal(first.time[: len(run.time)], run.time[: len(first.time)])
-                and np.array_equal(*_common(values, run.select((column,))[:, 0]))
-            )
-            for _, run in held[1:]
-        )
-        if same:  # e.g. theta(t): the longest stands for all, and of these the one with most rows
-            of_all = max((run for _, run in held), key=lambda run: (run.time[-1], len(run.time)))
-            held = [(EVERY, of_all)]
-        for variant, run in held:
+        for same in _alike(held, column):
+            # Of runs with the same curve, e.g. theta(t), the one that went furthest is drawn, and
+            # of these the one with most rows.
+            run = max((run for _, run in same), key=lambda run: (run.time[-1], len(run.time)))
+            first, *others = (v for v, _ in same)
+            variant = EVERY if others and len(same) == len(held) else first
             shown = run.select((column,))[:, 0]
-            yield _curve(column, variant, dash, run.units.get(column, ""), run.time, shown, points)
+            curve = _curve(
+                column, variant, dash, run.units.get(column, ""), run.time, shown, points
+            )
+            yield replace(curve, others=tuple(others) if variant != EVERY else ())
 
 
-def _common(a: Array, b: Array) -> tuple[Array, Array]:
-    return a[: len(b)], b[: len(a)]
+def _alike(
+    runs: Sequence[tuple[int, Trajectory]], column: str
+) -> list[list[tuple[int, Trajectory]]]:
+    """The runs in groups that have the same curve of a column: of the same profile and FMU, or
+    with equal rows as far as both go."""
+    groups: list[list[tuple[int, Trajectory]]] = []
+    for variant, run in runs:
+        for group in groups:
+            other = group[0][1]
+            given, count = other.signals.get(column), min(len(run.time), len(other.time))
+            if (given is not None and given == run.signals.get(column)) or (
+                np.array_equal(run.time[:count], other.time[:count])
+                and np.array_equal(run.select((column,))[:count], other.select((column,))[:count])
+            ):
+                group.append((variant, run))
+                break
+        else:
+            groups.append([(variant, run)])
+    return groups
 
 
 def _curve(
@@ -304,15 +315,16 @@ def _plot(panel: Panel, variants: Sequence[str], span: Any) -> figure:
             line_dash=list(curve.dash) or "solid",
             name=", ".join(filter(None, (curve.label, _who(curve, variants)))),
         )
-        drawn.tags = [f"variant {curve.variant}"]  # given above, they would be the glyph's
+        # Given above, they would be the glyph's.
+        drawn.tags = [f"variant {k}" for k in (curve.variant, *curve.others)]
     return plot
 
 
 def _who(curve: Curve, variants: Sequence[str]) -> str:
-    """The variant that a curve is of, for people."""
+    """The variants that a curve is of, for people."""
     if curve.variant < 0:
         return {EVERY: "every variant", PICKED: ""}[curve.variant]
-    return variants[curve.variant]
+    return "; ".join(variants[k] for k in (curve.variant, *curve.others))
 
 
 def empty_plot(name: str, **options: Any) -> figure:
@@ -373,7 +385,8 @@ def _numbers(panel: Panel, variants: Sequence[str]) -> Iterator[str]:
             f"<br><small>{escape(who)}</small>" if who else ""
         )
         yield (
-            f'<tr data-variant="{curve.variant}"><th scope="row">{label}</th>{cells}'
+            f'<tr data-variant="{" ".join(map(str, (curve.variant, *curve.others)))}">'
+            f'<th scope="row">{label}</th>{cells}'
             f'<td data-curve="{curve.name}">–</td></tr>'
         )
     yield "</tbody></table></div>"

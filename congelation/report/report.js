@@ -88,7 +88,7 @@ window.congelation = (() => {
   function tick(name, y) {
     const scale = scales[name];
     if (scale.names) return scale.names[Math.round(y)] ?? "";
-    if (scale.ceiling !== undefined && Math.abs(y - scale.ceiling) < 1e-9) return "never";
+    if (scale.ceiling !== undefined && Math.abs(y - scale.ceiling) < 1e-9) return scale.above;
     return number(Number(unplace(scale, y).toPrecision(6)));
   }
   function placed(name, values) {
@@ -110,8 +110,8 @@ window.congelation = (() => {
       else if (found.type === "ColorBar") found.setv({background_fill_color: ground,
         major_label_text_color: text, title_text_color: text});
       else if (found.type === "GlyphRenderer") {
-        const variant = variantOf(found);
-        if (variant !== null) recolour(found, variant);
+        const [variant] = variantsOf(found);
+        if (variant !== undefined) recolour(found, variant);
       }
     }
   }
@@ -124,10 +124,10 @@ window.congelation = (() => {
       view.paint?.();
     }
   }
-  function variantOf(renderer) {  // the tag "variant 0"; -1: of all, -2: of the run that is picked
-    const tag = renderer.tags.find((t) => String(t).startsWith("variant "));
-    return tag === undefined ? null : Number(tag.slice(8));
-  }
+  // Tags "variant 0": whose curve it is, the first in its colour; -1: of all, -2: of the run that
+  // is picked.
+  const variantsOf = (renderer) => renderer.tags.filter((t) => String(t).startsWith("variant "))
+    .map((t) => Number(t.slice(8)));
   function recolour(renderer, variant) {
     const shade = colour(variant);
     for (const glyph of [renderer.glyph, renderer.nonselection_glyph, renderer.selection_glyph]) {
@@ -143,11 +143,15 @@ window.congelation = (() => {
   const shown = new Set(state.variants.map((_, k) => k));
   function toggle(variant, on) {
     if (on) shown.add(variant); else shown.delete(variant);
+    const some = (variants) => variants.some((v) => shown.has(v));
     for (const found of bokeh._all_models.values()) {
       if (found.type !== "GlyphRenderer") continue;
-      if (variantOf(found) === variant) found.visible = on;
+      const variants = variantsOf(found);
+      if (variants.includes(variant)) found.visible = some(variants);
     }
-    each(`tr[data-variant="${variant}"]`, (row) => { row.hidden = !on; });
+    each(`tr[data-variant~="${variant}"]`, (row) => {
+      row.hidden = !some(row.dataset.variant.split(" ").map(Number));
+    });
     if (window.congelation.study) window.congelation.study.refresh();
   }
   function setMode(mode) {

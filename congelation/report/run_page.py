@@ -21,7 +21,7 @@ from congelation.report.verdict import run_verdict, settling_rule, tiles
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 
-__all__ = ["draw_overlaid", "write_html"]
+__all__ = ["draw_overlaid", "trajectory_of", "write_html"]
 
 SHOWN = 8
 """Runs whose trajectories a page shows at once; there are colours for so many."""
@@ -45,7 +45,7 @@ def write_html(results: Results, file: Path) -> None:
 def _run_page(results: Results, study: Study) -> str:
     """The page of a scenario's variants, each run once."""
     kept = [
-        (run, replace(results.store.trajectory(run.run_id), signals=study.signals(run)))
+        (run, trajectory_of(results, study, run))
         for run in study.records
         if results.store.trajectory_file(run.run_id).is_file()
     ]
@@ -64,6 +64,11 @@ def _run_page(results: Results, study: Study) -> str:
     pieces += provenance(study)
     state = {"variants": variants, "scales": scales}
     return page(study.about["title"], [*pieces, "</main>"], state)
+
+
+def trajectory_of(results: Results, study: Study, run: RunRecord) -> Trajectory:
+    """The trajectory of a run, with what is known of theta(t)."""
+    return replace(results.store.trajectory(run.run_id), signals=study.signals(run))
 
 
 def draw_overlaid(

@@ -9,7 +9,9 @@ congelation.study = (() => {
   const count = study.run_id.length;
   const all = Array.from({length: count}, (_, k) => k);
   const name = (k) => study.labels[k] ?? k;
-  const text = (k, v) => (v === Infinity && study.never.includes(k) ? "never" : number(v));
+  // What is infinite: of settling times "not settled", else ∞.
+  const infinite = (k) => (study.settling.includes(k) ? study.not_settled : "∞");
+  const text = (k, v) => (v === Infinity ? infinite(k) : number(v));
   const chosen = (id) => document.getElementById(id).value;
   let kept = all;     // the runs that pass the filters, in the order of the table
   let order = null;   // {column, down}
@@ -18,7 +20,7 @@ congelation.study = (() => {
   const DIGITS = 8;   // of an id, as many as `congelation show` needs; the rows' titles have all
 
   const isNumber = (v) => typeof v === "number" && !Number.isNaN(v);
-  function scaleOf(values, wish = "auto") {
+  function scaleOf(values, of, wish = "auto") {
     const finite = values.filter((v) => isNumber(v) && Number.isFinite(v));
     const low = Math.min(...finite), high = Math.max(...finite);
     const decades = finite.length > 0 && low > 0 && high >= 30 * low;
@@ -28,17 +30,18 @@ congelation.study = (() => {
     if (values.includes(Infinity)) {
       const a = place(scale, finite.length ? low : 0), b = place(scale, finite.length ? high : 1);
       scale.ceiling = b + 0.15 * (b - a || 1);
+      scale.above = infinite(of);
     }
     return scale;
   }
-  function axisScale(values) {  // of a setting: numbers as they are, all else by its name
-    if (values.every((v) => isNumber(v) || v === null)) return scaleOf(values);
+  function axisScale(values, axis) {  // of a setting: numbers as they are, all else by its name
+    if (values.every((v) => isNumber(v) || v === null)) return scaleOf(values, axis);
     const names = [...new Set(values.map((v) => String(v)))].sort();
     return {own: true, mode: "linear", names};
   }
   const put = (scale, v) => (scale.names ? scale.names.indexOf(String(v)) : place(scale, v));
 
-  // A quantile that is one of the values, so that "never" does no harm.
+  // A quantile that is one of the values, so that an infinite one does no harm.
   const quantile = (sorted, q) => sorted[Math.max(0, Math.ceil(q * sorted.length) - 1)];
 
   function drawMetric() {
@@ -46,8 +49,8 @@ congelation.study = (() => {
     const band = Number(chosen("metric-band"));
     const xs = columns[axis], ys = columns[metric];
     const usable = kept.filter((k) => isNumber(ys[k]) && xs[k] !== null);
-    const x = scales["metric.x"] = axisScale(usable.map((k) => xs[k]));
-    const y = scales["metric.y"] = scaleOf(usable.map((k) => ys[k]), chosen("metric-scale"));
+    const x = scales["metric.x"] = axisScale(usable.map((k) => xs[k]), axis);
+    const y = scales["metric.y"] = scaleOf(usable.map((k) => ys[k]), metric, chosen("metric-scale"));
     const lines = [];
     state.variants.forEach((variant, v) => {
       const runs = usable.filter((k) => study.variant[k] === v && shown.has(v));
@@ -78,7 +81,7 @@ congelation.study = (() => {
         const failed = sorted.filter((s) => s === Infinity).length;
         lines.push([variant, congelation.tick("metric.x", key), String(sorted.length),
           ...three.map((t) => text(metric, t)),
-          study.never.includes(metric) ? `${sorted.length - failed} of ${sorted.length}` : "–"]);
+          study.settling.includes(metric) ? `${sorted.length - failed} of ${sorted.length}` : "–"]);
       }
       model(`metric.line.${v}`).data = line;
       model(`metric.points.${v}`).data = points(runs, axis, metric, x, y);
@@ -136,7 +139,7 @@ congelation.study = (() => {
     }
     const medians = new Map([...cells].map(([key, list]) =>
       [key, quantile(list.sort((p, q) => p - q), 0.5)]));
-    const scale = scaleOf([...medians.values()]);
+    const scale = scaleOf([...medians.values()], metric);
     const drawn = [...medians.values()].filter(Number.isFinite).map((m) => place(scale, m));
     const low = Math.min(...drawn), high = Math.max(...drawn);
     const shade = (m) => (Number.isFinite(m)
@@ -166,8 +169,8 @@ congelation.study = (() => {
     const a = chosen("pareto-x"), b = chosen("pareto-y");
     const usable = kept.filter((k) => Number.isFinite(columns[a][k]) && Number.isFinite(columns[b][k])
       && isNumber(columns[a][k]) && isNumber(columns[b][k]) && shown.has(study.variant[k]));
-    const x = scales["pareto.x"] = scaleOf(usable.map((k) => columns[a][k]));
-    const y = scales["pareto.y"] = scaleOf(usable.map((k) => columns[b][k]));
+    const x = scales["pareto.x"] = scaleOf(usable.map((k) => columns[a][k]), a);
+    const y = scales["pareto.y"] = scaleOf(usable.map((k) => columns[b][k]), b);
     const lines = [];
     const pooled = document.getElementById("pareto-pool").checked;
     const best = (runs) => {
@@ -221,12 +224,12 @@ congelation.study = (() => {
     const wanted = chosen("filter-text").trim().toLowerCase();
     const status = chosen("filter-status");
     // "omega > 10" compares a column; any other text is looked for in a row.
-    const asked = /^(.+?)\s*(<=|>=|<|>|=)\s*(\S+)$/.exec(wanted);
+    const asked = /^(.+?)\s*(<=|>=|<|>|=)\s*(.+)$/.exec(wanted);
     const column = asked && study.table.find((c) => c.toLowerCase() === asked[1]
       || name(c).toLowerCase().replace(/ \[.*/, "") === asked[1]);
     const compare = {"<": (a, b) => a < b, ">": (a, b) => a > b, "=": (a, b) => a === b,
       "<=": (a, b) => a <= b, ">=": (a, b) => a >= b};
-    const limit = asked && (asked[3] === "never" ? Infinity
+    const limit = asked && ([study.not_settled, "∞"].includes(asked[3]) ? Infinity
       : Number.isNaN(Number(asked[3])) ? asked[3] : Number(asked[3]));
     kept = all.filter((k) => {
       if (status && study.status[k] !== status) return false;

@@ -16,7 +16,7 @@ from congelation.errors import counted
 from congelation.report.axes import FEW, axes_of, short_names, unit_of
 from congelation.report.curves import PICKED, Curve, Panel, curve_panels, draw_panels
 from congelation.report.page_shell import Drawn, swatch, table
-from congelation.report.summary import label_of, number, summarise
+from congelation.report.summary import NOT_SETTLED, label_of, number, summarise
 from congelation.report.verdict import settled
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
@@ -171,7 +171,8 @@ def _data(
             **{name: [_digits(run.metrics.get(name)) for run in runs] for name in about},
         },
         "labels": {**_labels(study), **_axis_labels(study, axes)},
-        "never": [name for name, of in about.items() if of["metric"] == "settling_time"],
+        "settling": [name for name, of in about.items() if of["metric"] == "settling_time"],
+        "not_settled": NOT_SETTLED,
         "axes": list(axes),
         "metrics": list(about),
         "table": list(columns),
@@ -338,7 +339,8 @@ def _map_section(
         "Heat map of two settings",
         Drawn(plot, "A metric over two settings; the table beside it has its numbers"),
         selects,
-        "Medians over all other settings, of one variant; bright is large, hatched is never.",
+        "Medians over all other settings, of one variant; bright is large; "
+        "hatched cells have no finite median.",
     )
 
 

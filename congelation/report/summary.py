@@ -15,9 +15,11 @@ from congelation.results.labels import plain_unit
 from congelation.results.record import GROUPS, RunRecord, Study
 
 __all__ = [
+    "NOT_SETTLED",
     "Summary",
     "label_of",
     "metric_definitions",
+    "metric_value",
     "number",
     "short",
     "summarise",
@@ -32,6 +34,10 @@ _NUMBER = re.compile(r"(?<!profile\.theta)\[\d+\](?=\.\w+$)")
 _COLUMNS = ("variant", "status", "replicate")
 
 _QUANTILES = {"5 %": 0.05, "median": 0.5, "95 %": 0.95}
+
+
+NOT_SETTLED = "not settled"
+"""In place of an infinite settling time: the run ended before; it might settle later."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ def summarise_groups(study: Study, by: Sequence[str]) -> Summary:
     for label, runs in groups.items():
         completed = sum(run.status == "COMPLETED" for run in runs)
         cells = [str(len(runs)), str(completed)]
-        cells += [_spread([run.metrics.get(name) for run in runs]) for name in metrics]
+        cells += [_spread([run.metrics.get(n) for run in runs], metrics[n]) for n in metrics]
         lines.append((", ".join(label), tuple(cells)))
     return Summary(tuple(columns), tuple(lines))
 
@@ -109,9 +115,9 @@ def _order(value: object) -> tuple[int, float, str]:
     return (2, 0.0, "") if value is None else (1, 0.0, str(value))
 
 
-def _spread(values: Sequence[float | None]) -> str:
+def _spread(values: Sequence[float | None], about: Mapping[str, Any]) -> str:
     """The median and, in brackets, the outer quantiles."""
-    low, median, high = (_quantile(values, q) for q in _QUANTILES.values())
+    low, median, high = (_quantile(values, q, about) for q in _QUANTILES.values())
     return median if low == high else f"{median} [{low}, {high}]"
 
 
@@ -155,15 +161,19 @@ def _summarise_sweep(study: Study) -> Summary:
         lines.append((status, [str(count) for count in counts]))
     for name, about in study.about["metrics"].items():
         for text, q in _QUANTILES.items():
-            cells = [_quantile([r.metrics.get(name) for r in runs], q) for runs in groups.values()]
+            cells = [
+                _quantile([run.metrics.get(name) for run in runs], q, about)
+                for runs in groups.values()
+            ]
             lines.append((f"{label_of(name, about)}, {text}", cells))
     return Summary(tuple(groups), tuple((label, tuple(cells)) for label, cells in lines))
 
 
-def _quantile(values: Sequence[float | None], q: float) -> str:
+def _quantile(values: Sequence[float | None], q: float, about: Mapping[str, Any]) -> str:
     """A quantile of the known values; always one of them, so that inf does no harm."""
     known = [value for value in values if value is not None and not math.isnan(value)]
-    return number(float(np.quantile(known, q, method="inverted_cdf"))) if known else number(None)
+    found = float(np.quantile(known, q, method="inverted_cdf")) if known else None
+    return metric_value(found, about)
 
 
 def metric_definitions(study: Study) -> tuple[tuple[str, str], ...]:
@@ -175,10 +185,7 @@ def metric_definitions(study: Study) -> tuple[tuple[str, str], ...]:
 
 
 def number(value: object) -> str:
-    """A value for people: four digits; a dash where there is none.
-
-    What is infinite is a time that does not come: a settling time, a jump.
-    """
+    """A value for people: four digits; a dash where there is none."""
     if value is None:
         return "–"
     if isinstance(value, bool):
@@ -189,7 +196,14 @@ def number(value: object) -> str:
         return str(value)
     if math.isnan(value):
         return "–"
-    return "never" if value == math.inf else short(value, 4)
+    return short(value, 4) if math.isfinite(value) else "∞" if value > 0.0 else "-∞"
+
+
+def metric_value(value: float | None, about: Mapping[str, Any]) -> str:
+    """A metric for people; a settling time that is not within the run is "not settled"."""
+    if value == math.inf and about["metric"] == "settling_time":
+        return NOT_SETTLED
+    return number(value)
 
 
 def short(value: float, digits: int) -> str:
@@ -204,7 +218,7 @@ def _lines(study: Study) -> Iterator[tuple[str, list[str]]]:
     for name in study.about["varied"]:
         yield name, [number(run.settings.get(name)) for run in runs]
     for name, about in study.about["metrics"].items():
-        yield label_of(name, about), [number(run.metrics.get(name)) for run in runs]
+        yield label_of(name, about), [metric_value(run.metrics.get(name), about) for run in runs]
     yield "macro steps", [number(run.steps) for run in runs]
     yield "wall time [s]", [number(run.wall_time) for run in runs]
     for name in dict.fromkeys(name for run in runs for name in run.deviations):

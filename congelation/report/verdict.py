@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 
-from congelation.report.summary import number
+from congelation.report.summary import NOT_SETTLED, metric_value, number
 from congelation.results.record import RunRecord, Study
 
 __all__ = [
@@ -16,6 +16,7 @@ __all__ = [
     "multiple",
     "peak_of_u",
     "prices",
+    "reading_aids",
     "run_verdict",
     "settled",
     "settling_rule",
@@ -112,8 +113,9 @@ def tiles(study: Study, peaks: Mapping[str, float]) -> Iterator[tuple[str, list[
         lines = [("status", run.status.lower().replace("_", " "))]
         if name:
             value = run.metrics.get(name)
-            said = "no" if value == math.inf else f"after {number(value)} s"
-            lines.append(("settled", said if value is not None else "–"))
+            said = metric_value(value, study.about["metrics"][name])
+            known = value is not None and math.isfinite(value)
+            lines.append(("settled", f"after {said} s" if known else said))
         peak = peak_of_u(study, run, peaks)
         if peak is not None:
             lines.append(("peak |u|", number(peak)))
@@ -121,7 +123,7 @@ def tiles(study: Study, peaks: Mapping[str, float]) -> Iterator[tuple[str, list[
             lines.append(("price: peak |u| / least", f"{multiple(priced[run.variant])} ×"))
         margin = _margin(study, run)
         if margin is not None:
-            lines.append(("worst margin", number(margin)))
+            lines.append(("worst margin, above 0 fails", number(margin)))
         error = run.trust_error if run.trust_error is not None else run.estimated_error
         if error is not None:
             lines.append(("estimated error", f"{error:.1e}"))
@@ -171,8 +173,19 @@ def settling_rule(study: Study) -> str:
     open_end = any(
         r.status == "COMPLETED" and r.metrics.get(name) == math.inf for r in study.records
     )
-    later = "; the others may settle later" if open_end else ""
+    later = f"; one that is {NOT_SETTLED} then may settle later" if open_end else ""
     return f"A run settles when |{about['of']}| stays {limit} until {until}{later}."
+
+
+def reading_aids(study: Study) -> Iterator[str]:
+    """What a table of metrics does not say: until when runs settle, which margins are good."""
+    if rule := settling_rule(study):
+        yield rule
+    if name := metric_of_kind(study, "lyapunov"):
+        yield (
+            f"{name}: by how much V' is above what the certificate promises, relative to the terms "
+            "of V'. The certificate holds where it is at most 0 (1e-9 for rounding)."
+        )
 
 
 def metric_of_kind(study: Study, kind: str) -> str | None:

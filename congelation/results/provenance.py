@@ -8,7 +8,8 @@ from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
-from congelation.fmi.description import Description, describe
+from congelation.fmi.description import Description, Variable, describe
+from congelation.fmi.start_values import resolve_start
 from congelation.keys import EXPERIMENT
 from congelation.results.identity import code_version
 from congelation.scenario.metrics import Metric, metric
@@ -39,7 +40,7 @@ def about(
         "axes": [list(names) for names in axes],
         "units": {name: unit for name in varied if (unit := _unit_of_setting(name, descriptions))},
         "spelled": _spelled(varied, descriptions),
-        "signals": _signals(scenario, descriptions),
+        "profiles": _profiles(scenario, descriptions),
         "metrics": {spec.name: _about_metric(spec, descriptions) for spec in scenario.metrics},
         "figures": [asdict(figure) for figure in scenario.figures],
         "fmus": {
@@ -69,17 +70,38 @@ def _spelled(varied: Sequence[str], descriptions: Mapping[str, Description]) -> 
     return found
 
 
-def _signals(scenario: Scenario, descriptions: Mapping[str, Description]) -> dict[str, str]:
-    """The outputs that are their profile and nothing else, with what its settings begin with:
-    ``plant.theta[1]`` and ``plant.profile[1].``, unless something drives ``plant.dtheta[1]``."""
+def _profiles(
+    scenario: Scenario, descriptions: Mapping[str, Description]
+) -> dict[str, dict[str, float | str]]:
+    """The outputs that are their profile and nothing else, each with the settings of that profile
+    and their values before those of a variant: ``plant.theta[1]`` with ``plant.profile[1].mean``
+    and so on, unless something drives ``plant.dtheta[1]``."""
     driven = {connection.target for connection in scenario.system.connections}
-    return {
-        f"{owner}.{of}": f"{owner}.{prefix}"
-        for owner, found in descriptions.items()
-        for of, prefix in profile_prefixes(found).items()
-        if of in found.variables
-        and driven.isdisjoint((f"{owner}.d{of}", f"{owner}.d{of.partition('[')[0]}"))
-    }
+    found: dict[str, dict[str, float | str]] = {}
+    for component in scenario.system.components:
+        owner, description = component.name, descriptions[component.name]
+        given = {
+            start.variable.name: start.value
+            for start in resolve_start(description, component.start, owner)
+        }
+        for of, prefix in profile_prefixes(description).items():
+            whole = f"{owner}.d{of.partition('[')[0]}"
+            if of in description.variables and driven.isdisjoint((f"{owner}.d{of}", whole)):
+                found[f"{owner}.{of}"] = {
+                    f"{owner}.{name}": _value(variable, given.get(name, variable.default))
+                    for name, variable in description.variables.items()
+                    if name.startswith(prefix)
+                }
+    return found
+
+
+def _value(variable: Variable, value: object) -> float | str:
+    """The value of a parameter, a number whatever its type is unless it is a text."""
+    if variable.type in ("Real", "Integer"):
+        return float(str(value or 0))
+    if variable.type == "Boolean":
+        return float(str(value).lower() in ("true", "1"))
+    return str(value or "")
 
 
 def _about_metric(spec: MetricSpec, descriptions: Mapping[str, Description]) -> dict[str, Any]:

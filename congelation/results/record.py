@@ -12,7 +12,17 @@ import numpy.typing as npt
 
 from congelation.cosim.result import Status
 
-__all__ = ["GROUPS", "STRETCHES", "Outcome", "RunRecord", "Steps", "Study", "Trajectory", "thin"]
+__all__ = [
+    "COLUMNS",
+    "GROUPS",
+    "STRETCHES",
+    "Outcome",
+    "RunRecord",
+    "Steps",
+    "Study",
+    "Trajectory",
+    "thin",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -139,7 +149,7 @@ class RunRecord(Outcome):
     def row(self) -> dict[str, Any]:
         """The record by column."""
         row: dict[str, Any] = {}
-        for name, column in _COLUMNS.items():
+        for name, column in COLUMNS.items():
             value = getattr(self, name)
             if name in GROUPS:
                 row.update({f"{column}{key}": entry for key, entry in value.items()})
@@ -151,7 +161,7 @@ class RunRecord(Outcome):
     def of(cls, row: Mapping[str, Any]) -> RunRecord:
         """The record that a row holds; of deviations and FMUs, those that there are."""
         values: dict[str, Any] = {
-            name: row[column] for name, column in _COLUMNS.items() if column in row
+            name: row[column] for name, column in COLUMNS.items() if column in row
         }
         for name, prefix in GROUPS.items():
             group = {k.removeprefix(prefix): v for k, v in row.items() if k.startswith(prefix)}
@@ -162,10 +172,11 @@ class RunRecord(Outcome):
 
 
 _FIRST = ("run_id", "study", "number", "variant", "replicate", "settings")
-_COLUMNS = {
+COLUMNS: Mapping[str, str] = {
     name: GROUPS.get(name, name.replace("trust_", "trust."))
     for name in dict.fromkeys((*_FIRST, *(f.name for f in fields(RunRecord))))
 }
+"""The columns by field, in order; of several values, what their names begin with."""
 
 
 @dataclass(frozen=True)
@@ -275,14 +286,14 @@ class Study:
 
     def signals(self, run: RunRecord) -> dict[str, object]:
         """The columns that follow from a profile alone, theta(t), with what determines them."""
-        return {
-            column: (
-                run.study,
-                run.replicate,
-                *sorted((n, repr(v)) for n, v in run.settings.items() if n.startswith(prefix)),
-            )
-            for column, prefix in self.about.get("signals", {}).items()
-        }
+        found: dict[str, object] = {}
+        for column, profile in self.about.get("profiles", {}).items():
+            fmu = self.about["fmus"][column.partition(".")[0]]["sha256"]
+            numbers = {name: run.settings.get(name, value) for name, value in profile.items()}
+            # A text is the name of a file, which another study may have found with other content.
+            own = (run.study,) if any(isinstance(v, str) and v for v in numbers.values()) else ()
+            found[column] = (fmu, *numbers.values(), *own)
+        return found
 
 
 def thin(values: Array, bins: int) -> npt.NDArray[np.intp]:

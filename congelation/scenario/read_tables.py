@@ -101,7 +101,7 @@ def _component(section: Section, name: str) -> Component:
 def _find_fmu(section: Section, native: bool) -> Path:
     """The file that `fmu` names: a path from the scenario's folder, or a name in a fmus/ folder,
     or in the folder native of that."""
-    name = section.text("fmu")
+    name: str = section.as_kind("fmu", "text")
     home = Path(section.file).absolute().parent
     if name.endswith(".fmu"):
         if native:
@@ -127,7 +127,7 @@ def _experiment(section: Section) -> Experiment:
     values = section.read(keys.EXPERIMENT)
     options: Section = values["options"]
     values["options"] = {
-        key: options.seconds(key) if isinstance(value, Mapping) else value
+        key: options.as_kind(key, "time") if isinstance(value, Mapping) else value
         for key, value in options.data.items()
     }
     for key, value in options.data.items():
@@ -152,25 +152,26 @@ def _metric(section: Section, name: str, resolved: ResolvedSystem) -> MetricSpec
     options: dict[str, float] = {}
     for key in found.options:
         if key in found.times and key in section.data:
-            options[key] = section.seconds(key)
+            options[key] = section.as_kind(key, "time")
         elif isinstance(section.data.get(key), Mapping):
             options[key] = _measured(section, key, found, resolved)
         elif key in section.data:
-            options[key] = section.number(key)
+            options[key] = section.as_kind(key, "number")
     for key in found.positive:
         if options.get(key, 1.0) <= 0.0:
             raise section.wrong(key, "a positive number")
-    return MetricSpec(name, found.name, section.text("of") if of else "", options)
+    return MetricSpec(name, found.name, section.as_kind("of", "text") if of else "", options)
 
 
 def _measured(section: Section, key: str, found: Metric, resolved: ResolvedSystem) -> float:
     """An option of a metric that states its unit, in that of the variables that are measured."""
     if key not in found.values:
         raise section.error(key, "takes no unit; give a number")
-    columns = section.attempt("of", partial(resolved.recorded, [section.text("of")]))
+    columns = section.attempt("of", partial(resolved.recorded, [section.as_kind("of", "text")]))
     description = resolved.members[columns[0].member].description
     value = in_own_unit(section, key, [column.variable for column in columns], description)
-    return replace(section, data={key: value}).number(key)
+    number: float = replace(section, data={key: value}).as_kind(key, "number")
+    return number
 
 
 def _figure(section: Section) -> FigureSpec:

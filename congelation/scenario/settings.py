@@ -235,7 +235,7 @@ def in_own_unit(
     if not isinstance(section.data[key], Mapping):
         return section.data[key]
     quantity = section.section(key).only(("value", "unit")).require("value", "unit")
-    unit = quantity.text("unit")
+    unit = quantity.as_kind("unit", "text")
     named = list(named)
     declared = sorted({variable.unit or "1" for variable in named})
     if not declared or declared == [unit]:

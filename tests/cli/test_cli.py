@@ -24,7 +24,7 @@ def test_run_and_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     out = tmp_path / "results" / "loop"
     for text in ("A short loop", "Controller 1", "Controller 2", "peak_x", "settling_x [s]"):
         assert text in done.stdout
-    for text in ("wall time [s]", "macro steps", "error of plant.x / peak", "never"):
+    for text in ("wall time [s]", "macro steps", "error of plant.x / peak", "not settled"):
         assert text in done.stdout
     assert "100%" in done.stderr
     last = done.stdout.splitlines()[-1]

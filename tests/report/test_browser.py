@@ -152,20 +152,26 @@ def test_nothing_of_a_comparison_is_cut(
 
 
 def test_a_comparison_overlays_its_directories(browser: Browser, comparison_page: Path) -> None:
-    """u was 1000 exp(-t) and is 900 exp(-t); each directory's curves can be hidden."""
+    """u was 1000 exp(-t) and is 900 exp(-t); exp(-t) of Controller 2 is one curve of both."""
     with opened(browser, comparison_page) as page:
         page.get_by_label("Cursor").fill("0")
         row = page.locator("section", has_text="controller.u").locator("tbody tr")
-        assert [float(cell) for cell in row.locator("td[data-curve]").all_text_contents()] == [
-            1000.0,
-            900.0,
-            1.0,
-            1.0,
+        at_start = [float(cell) for cell in row.locator("td[data-curve]").all_text_contents()]
+        assert at_start == [1000.0, 900.0, 1.0]
+        shared = "Controller 2, old; Controller 2, new"
+        assert row.locator("small").all_text_contents() == [
+            "Controller 1, old",
+            "Controller 1, new",
+            shared,
         ]
-        page.get_by_label("Controller 1, old").uncheck()
-        shown = row.locator("small").all_text_contents()
-        assert shown == [f"Controller {k}, {name}" for k in (1, 2) for name in ("old", "new")]
-        assert row.locator("small:visible").count() == 3
+        drawn = "[...congelation.bokeh()._all_models.values()].filter((m) => m.visible && m.tags"
+        drawn += ".join() === 'variant 2,variant 3').length"
+        for label, rows in (("1, old", 2), ("2, old", 2), ("2, new", 1)):
+            page.get_by_label(f"Controller {label}").uncheck()
+            assert row.locator("small:visible").count() == rows
+            assert (page.evaluate(drawn) > 0) == (rows > 1)
+        page.get_by_label("Controller 2, old").check()
+        assert row.locator("small:visible").all_text_contents() == ["Controller 1, new", shared]
 
 
 @pytest.mark.parametrize("width", WIDTHS)
@@ -198,7 +204,7 @@ def test_what_never_settles_is_drawn_above_all_else(browser: Browser, study_page
         assert ceiling > 4
         assert (
             page.evaluate("congelation.tick('metric.y', congelation.scales['metric.y'].ceiling)")
-            == "never"
+            == "not settled"
         )
 
 

@@ -121,7 +121,7 @@ def test_differences_of_runs_and_of_a_study() -> None:
     assert [*changes_by_run(found)] == [
         ("Controller 1: status", ["COMPLETED", "DIVERGED", "–", "–"]),
         ("Controller 1: peak_x [m]", ["2", "3", "+1", "+50 %"]),
-        ("Controller 1: settling_x [s]", ["never", "2.5", "–", "–"]),
+        ("Controller 1: settling_x [s]", ["not settled", "2.5", "–", "–"]),
         ("Controller 1: macro steps", ["5000", "5000", "0", "equal"]),
     ]
     assert "The status changed: Controller 1 was COMPLETED and is DIVERGED." in [*verdict(found)]
@@ -159,7 +159,8 @@ def test_the_page_has_both_and_what_changed(tmp_path: Path) -> None:
     for text in (
         "new against old: each of the 2 runs has a counterpart.",
         "Controller 1 settled in 1 of 1 runs before, and settles in 0 now.",
-        "1 of 4 metrics differ, most of all settling_x of Controller 1: 2.5 before, never now.",
+        "1 of 4 metrics differ, most of all settling_x of Controller 1: 2.5 before, "
+        "not settled now.",
         "Controller 1, old",
         "Controller 1, new",
         "Controller 1: settling_x [s]",

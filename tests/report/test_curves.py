@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from congelation.report.curves import EVERY, STEPS, curve_panels, panel_groups
-from congelation.results.record import Steps, Trajectory
-from tests.report.stored import trajectory
+from congelation.results.record import Steps, Study, Trajectory
+from tests.report.stored import record, trajectory
 
 
 def test_vectors_bounds_and_errors_share_panels() -> None:
@@ -61,6 +61,30 @@ def test_a_signal_that_variants_share_is_one_curve_on_whatever_rows() -> None:
     assert drawn(marked(coarse, "a"), marked(fine, "a")) == [(EVERY, separate[1][1])]
     stopped = replace(fine, time=fine.time[:-500], values=fine.values[:-500])
     assert drawn(marked(coarse, "a"), marked(stopped, "a")) == [(EVERY, separate[0][1])]
+
+
+def test_runs_with_equal_profiles_and_fmus_share_a_curve_whatever_study_they_are_of() -> None:
+    """Two folders whose theta differs: a curve for each, not one for each run."""
+    column = "plant.theta[1]"
+    profile = {"plant.profile[1].mean": 1.0, "plant.profile[1].table.file": ""}
+
+    def marked(mean: float, sha: str, file: str = "") -> Trajectory:
+        about = {"profiles": {column: profile}, "fmus": {"plant": {"sha256": sha}}}
+        settings = {"plant.profile[1].mean": mean, "plant.profile[1].table.file": file}
+        run = record("r", 1, settings=settings, study=f"s{len(runs)}")
+        rows = trajectory(1.0)
+        every = len(runs) + 1  # other rows in each, so that values are not compared
+        rows = replace(rows, time=rows.time[::every], values=rows.values[::every])
+        return replace(rows, signals=Study((run,), about).signals(run))
+
+    runs: list[Trajectory] = []
+    for mean, sha in ((1.0, "a"), (2.0, "a"), (1.0, "a"), (2.0, "a"), (1.0, "b")):
+        runs.append(marked(mean, sha))
+    runs += [marked(1.0, "a", "t.csv")]  # a file may have been another one in another study
+    runs += [marked(1.0, "a", "t.csv")]
+    (panel,) = (p for p in curve_panels([*enumerate(runs)]) if p.title == "plant.theta")
+    found = [(curve.variant, curve.others) for curve in panel.curves]
+    assert found == [(0, (2,)), (1, (3,)), (4, ()), (5, ()), (6, ())]
 
 
 def test_a_variable_without_finite_values_is_no_error() -> None:

@@ -53,7 +53,7 @@ def test_the_report_holds_what_was_stored(tmp_path: Path) -> None:
         "Controller 1",
         "peak_x [m]",
         "1.235",
-        "never",
+        "not settled",
         "max |v| & more",
         "Plant.fmu",
         "5e1f",

@@ -101,7 +101,7 @@ def test_the_rule_of_settling_names_the_stop_time() -> None:
     said = "A run settles when |plant.x| stays small until"
     both = variants({"A": (1.0, 10.0), "B": (math.inf, 10.0)})
     assert settling_rule(study(both, stop_time=12.0)) == (
-        f"{said} the stop time, 12 s; the others may settle later."
+        f"{said} the stop time, 12 s; one that is not settled then may settle later."
     )
     assert settling_rule(study(both[:1], stop_time=12.0)) == f"{said} the stop time, 12 s."
     failed = record("f", 2, metrics={"settling_x": math.inf}, status="DIVERGED")

@@ -16,7 +16,7 @@ from congelation.conformance.description import Description
 from congelation.conformance.instance import Instance
 from congelation.conformance.model_exchange import Model, moved, require_states
 from congelation.conformance.probe import read
-from congelation.conformance.rule import MODEL_EXCHANGE, Level, NotEvaluated, dynamic
+from congelation.conformance.rule import Level, NotEvaluated, dynamic
 from congelation.conformance.rules.fmustate import restore, save
 from congelation.conformance.trajectory import demand, excite, same
 
@@ -34,7 +34,7 @@ _SUBSTEPS = 16
 _DISAGREEMENT = 1e-2
 
 
-@dynamic("FMI2-ME-01", "3.2.3", Level.VIOLATION, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-01", "3.2.3", Level.VIOLATION)
 def allowed_calls(bench: Bench) -> Iterator[str]:
     """Every call that the table allows in a mode of model exchange succeeds there.
 
@@ -86,7 +86,7 @@ def allowed_calls(bench: Bench) -> Iterator[str]:
     model.instance.free()
 
 
-@dynamic("FMI2-ME-02", "3.2.3", Level.ROBUSTNESS, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-02", "3.2.3", Level.ROBUSTNESS)
 def forbidden_calls(bench: Bench) -> Iterator[str]:
     """A call that belongs to another mode of model exchange is refused.
 
@@ -125,7 +125,7 @@ def forbidden_calls(bench: Bench) -> Iterator[str]:
                 model.instance.free()
 
 
-@dynamic("FMI2-ME-03", "3.2.1, 3.2.2", Level.VIOLATION, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-03", "3.2.1, 3.2.2", Level.VIOLATION)
 def states_are_set(bench: Bench) -> Iterator[str]:
     """The states are those that were set, by fmi2GetContinuousStates and as variables.
 
@@ -151,7 +151,7 @@ def states_are_set(bench: Bench) -> Iterator[str]:
     model.instance.free()
 
 
-@dynamic("FMI2-ME-04", "3.2.2, 2.2.7", Level.VIOLATION, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-04", "3.2.2, 2.2.7", Level.VIOLATION)
 def derivatives_are_variables(bench: Bench) -> Iterator[str]:
     """The derivatives are the variables that modelDescription.xml lists as Derivatives.
 
@@ -174,7 +174,7 @@ def derivatives_are_variables(bench: Bench) -> Iterator[str]:
     model.instance.free()
 
 
-@dynamic("FMI2-ME-05", "3.2.1", Level.VIOLATION, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-05", "3.2.1", Level.VIOLATION)
 def derivatives_follow(bench: Bench) -> Iterator[str]:
     """In continuous-time mode derivatives follow from time, states and inputs alone.
 
@@ -200,7 +200,7 @@ def derivatives_follow(bench: Bench) -> Iterator[str]:
     model.instance.free()
 
 
-@dynamic("FMI2-ME-06", "3.2.2", Level.VIOLATION, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-06", "3.2.2", Level.VIOLATION)
 def completed_step_keeps(bench: Bench) -> Iterator[str]:
     """fmi2CompletedIntegratorStep leaves the continuous states as they are.
 
@@ -222,7 +222,7 @@ def completed_step_keeps(bench: Bench) -> Iterator[str]:
     model.instance.free()
 
 
-@dynamic("FMI2-ME-07", "3.2.2", Level.VIOLATION, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-07", "3.2.2", Level.VIOLATION)
 def nominals(bench: Bench) -> Iterator[str]:
     """The nominal values of the states are positive, and those of modelDescription.xml.
 
@@ -245,7 +245,7 @@ def nominals(bench: Bench) -> Iterator[str]:
     model.instance.free()
 
 
-@dynamic("FMI2-ME-08", "3.2.2", Level.VIOLATION, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-08", "3.2.2", Level.VIOLATION)
 def time_events(bench: Bench) -> Iterator[str]:
     """Event iterations end, and the next time event is later than the present time.
 
@@ -305,7 +305,7 @@ def _moving(bench: Bench) -> Description:
     )
 
 
-@dynamic("FMI2-ME-09", "3.1, 4.1", Level.ROBUSTNESS, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-09", "3.1, 4.1", Level.ROBUSTNESS)
 def derivatives_are_slopes(bench: Bench) -> Iterator[str]:
     """Where the FMU is for co-simulation, too, its states move there at the rate of their
     derivatives.
@@ -345,7 +345,7 @@ def derivatives_are_slopes(bench: Bench) -> Iterator[str]:
         each.free()
 
 
-@dynamic("FMI2-ME-10", "3.1, 4.1", Level.ROBUSTNESS, time_factor=2.0, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-10", "3.1, 4.1", Level.ROBUSTNESS, time_factor=2.0)
 def kinds_agree(bench: Bench) -> Iterator[str]:
     """Integrated by the importer, the states are those of co-simulation, across events, too.
 
@@ -421,7 +421,7 @@ def _integrated(bench: Bench, description: Description, substeps: int) -> list[l
     return rows
 
 
-@dynamic("FMI2-ME-11", "2.1.9, 3.3.1", Level.VIOLATION, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-11", "2.1.9, 3.3.1", Level.VIOLATION)
 def jacobian(bench: Bench) -> Iterator[str]:
     """With providesDirectionalDerivative the derivatives with respect to states are those
     measured.
@@ -459,7 +459,7 @@ def jacobian(bench: Bench) -> Iterator[str]:
     model.instance.free()
 
 
-@dynamic("FMI2-ME-12", "2.1.8, 3.3.1", Level.VIOLATION, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-12", "2.1.8, 3.3.1", Level.VIOLATION)
 def state_holds(bench: Bench) -> Iterator[str]:
     """With canGetAndSetFMUstate of model exchange a state brings time, states and inputs back.
 
@@ -496,7 +496,7 @@ def state_holds(bench: Bench) -> Iterator[str]:
     model.instance.free()
 
 
-@dynamic("FMI2-ME-13", "2.1.6", Level.VIOLATION, interface=MODEL_EXCHANGE)
+@dynamic("FMI2-ME-13", "2.1.6", Level.VIOLATION)
 def reset_is_new(bench: Bench) -> Iterator[str]:
     """After fmi2Reset a model exchange is as a new one.
 

@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from congelation.cosim.buffers import NO_DERIVATIVE, Transfer
 from congelation.cosim.compiled import library
 from congelation.cosim.compiled.structures import Block, Call, Loop, Slave
-from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble, Transfer
+from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Block as Wires
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.recording import Columns, EveryStep, Rows

@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from congelation.cosim.buffers import NO_DERIVATIVE
 from congelation.cosim.coupling.polynomial import differentiation, interpolation, product
-from congelation.cosim.ensemble import NO_DERIVATIVE, Ensemble
+from congelation.cosim.ensemble import Ensemble
 
 __all__ = ["LinkReader", "Points"]
 
