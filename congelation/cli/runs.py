@@ -39,8 +39,8 @@ from congelation.sweep.estimate import estimate
 from congelation.sweep.local import Local
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Workers
-from congelation.verify.assumptions import scenario_warnings
 from congelation.verify.reference import LARGEST_DEVIATION
+from congelation.verify.scenario_assumptions import scenario_warnings
 
 __all__ = ["export_ssp", "run", "sweep"]
 

@@ -31,7 +31,7 @@ from congelation.sweep.execute import REFUSED, Task
 from congelation.sweep.local import Local
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Finished, Lost, Progress, Remark, Workers
-from congelation.verify.assumptions import scenario_warnings
+from congelation.verify.scenario_assumptions import scenario_warnings
 
 __all__ = ["Listener", "Tally", "carry_out", "read", "result_folder", "run", "sweep"]
 
