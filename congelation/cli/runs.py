@@ -152,11 +152,12 @@ def run(
     else:
         print_summary(results)
         for record in records:
-            for line in (record.coupling_why, record.remark, record.trust_line):
-                if line:
+            for line in (record.coupling_why, record.trust_line):
+                if line is not None:
                     print(f"{record.variant}: {line}")
         print_figures(results)
         _say_where(results)
+    _warn_of_completed(records)
     complaints = [*_complaints(records)]
     for complaint in complaints:
         complain(complaint)
@@ -232,6 +233,7 @@ def sweep(
         _say_where(results)
     for name in without_effect(results.study()):
         complain(f"warning: {name} makes no difference: its values give the same metrics")
+    _warn_of_completed(results.runs)
     if _complain_of_failures(results.runs):
         raise typer.Exit(FAILED)
 
@@ -347,24 +349,26 @@ def _complain_of_failures(records: Iterable[RunRecord]) -> int:
     if failed:
         counts = ", ".join(f"{count} {status}" for status, count in kinds.most_common())
         complain(f"{failed} of {counted(total, 'run')} failed ({counts})")
-        for same in _alike((record, record.message) for record in kept if record.failed):
-            complain(same)
-    for same in _alike((record, record.remark) for record in kept if record.remark):
-        complain(f"warning: {same}")
+        # Messages differ in their numbers: those that agree up to them have one cause.
+        causes: dict[str, list[RunRecord]] = {}
+        for record in kept:
+            if record.failed:
+                causes.setdefault(_NUMBER.sub("#", record.message), []).append(record)
+        for same in sorted(causes.values(), key=len, reverse=True)[:MOST_CAUSES]:
+            first = same[0]
+            complain(f"{len(same)} x, such as run {first.run_id}: {first.message}")
     return failed
 
 
-def _alike(said: Iterable[tuple[RunRecord, str]]) -> Iterator[str]:
-    """The most frequent of what is said of runs, each with the first run that it is said of.
-
-    Texts that agree up to their numbers count as one.
-    """
-    kinds: dict[str, list[tuple[RunRecord, str]]] = {}
-    for record, text in said:
-        kinds.setdefault(_NUMBER.sub("#", text), []).append((record, text))
+def _warn_of_completed(records: Iterable[RunRecord]) -> None:
+    """What runs have to say beyond having reached their stop time, each kind once."""
+    kinds: dict[str, list[RunRecord]] = {}
+    for record in records:
+        if record.remark:
+            kinds.setdefault(_NUMBER.sub("#", record.remark), []).append(record)
     for same in sorted(kinds.values(), key=len, reverse=True)[:MOST_CAUSES]:
-        first, text = same[0]
-        yield f"{len(same)} x, such as run {first.run_id}: {text}"
+        others = f" (and {counted(len(same) - 1, 'other run')})" if len(same) > 1 else ""
+        complain(f"warning: {same[0].variant}{others}: {same[0].remark}")
 
 
 def _complaints(records: Iterable[RunRecord]) -> Iterator[str]:

@@ -7,7 +7,7 @@ knows no loop; their functions are here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import final
 
 import numpy as np
@@ -18,16 +18,9 @@ from congelation.results.record import Trajectory
 from congelation.scenario.metrics import metric, norm
 from congelation.scenario.parts import Case, MetricSpec
 
-__all__ = ["LOOP_METRICS", "Points", "doubts", "measure"]
+__all__ = ["LOOP_METRICS", "Points", "measure", "unresolved"]
 
 Floats = npt.NDArray[np.float64]
-
-COARSE = 0.1
-"""How far v may be from the straight line between the points on either side, on average over its
-mean size, until metrics of it are doubted: a sine then has 14 points in a period."""
-
-ENDS = ("drift",)
-"""Metrics that look at the ends of a run alone."""
 
 
 @final
@@ -139,6 +132,32 @@ def measure(
     return {spec.name: _value(spec, case, trajectory, groups) for spec in specs}
 
 
+UNRESOLVED = 0.2
+"""How far, in the mean, every second point may lie off the line between its neighbours, as a share
+of the signal: for a sine, ten points in a period."""
+
+
+def unresolved(specs: Sequence[MetricSpec], trajectory: Trajectory) -> Iterator[str]:
+    """A line for each integral whose points are too far apart for it."""
+    time = trajectory.time
+    if len(time) < 3:
+        return
+    odd = np.arange(1, len(time) - 1, 2)
+    widths = (time[2:] - time[:-2])[odd - 1]
+    shares = ((time[1:-1] - time[:-2])[odd - 1] / widths)[:, None]
+    for spec in specs:
+        if not metric(spec.metric).integral:
+            continue
+        values = trajectory.select(trajectory.group(spec.of))
+        line = (1.0 - shares) * values[odd - 1] + shares * values[odd + 1]
+        off = float(widths @ norm(values[odd] - line))
+        if off > UNRESOLVED * float(widths @ norm(values[odd])):
+            yield (
+                f"The points are too far apart for metric {spec.name}, as the signal turns between "
+                "them; give an output_interval or a shorter step."
+            )
+
+
 def _value(
     spec: MetricSpec, case: Case, trajectory: Trajectory, groups: Mapping[str, Floats]
 ) -> float | None:
@@ -151,39 +170,3 @@ def _value(
     else:
         value = found.function(time, groups[spec.of], **spec.options)
     return None if value is None or math.isnan(value) else value
-
-
-def doubts(specs: Sequence[MetricSpec], trajectory: Trajectory) -> list[str]:
-    """What there is to say of metrics for which the points of a run are too far apart, a line for
-    all metrics of the same variables.
-
-    Steps are as long as the connections allow; what no input sees may do anything in between.
-
-    Parameters
-    ----------
-    specs : sequence of MetricSpec
-    trajectory : Trajectory
-        That they were measured on.
-    """
-    named: dict[str, list[str]] = {}
-    for spec in specs:
-        if not metric(spec.metric).loop and spec.metric not in ENDS:
-            named.setdefault(spec.of, []).append(f"'{spec.name}'")
-    time, lines = trajectory.time, []
-    if len(time) < 3:
-        return []
-    # The weight of a point is half of the interval between its neighbours.
-    weight, left = (time[2:] - time[:-2]) / 2.0, (time[1:-1] - time[:-2]) / (time[2:] - time[:-2])
-    for of, names in named.items():
-        v = trajectory.select(trajectory.group(of))
-        if not np.isfinite(v).all():
-            continue
-        off = norm(v[1:-1] - (v[:-2] + left[:, None] * (v[2:] - v[:-2])))
-        off_by, mean = float(weight @ off), float(weight @ norm(v[1:-1]))
-        if off_by > COARSE * mean:
-            lines.append(
-                f"The points of the run are too far apart for {' and '.join(names)}: {of} is off "
-                f"the straight line between the points on either side by {off_by / mean:.0%} of "
-                "its size; give an output_interval."
-            )
-    return lines

@@ -1,62 +1,36 @@
-"""What a run that reached its stop time has to say is printed, by ``run`` and by ``sweep``."""
+"""What a run that reached its stop time has to say is told by ``run`` and on the page of the runs."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import pytest
-
+from congelation.report.run_page import write_html
 from congelation.results.results import open_results
 from tests.cosim.c_fmus import signals_fmu
 from tests.studies import command
 
 SCENARIO = """
-title = "cos 50 t beside sin t"
+title = "An FMU that takes steps of 0.5 s alone"
 connections = ["s.s -> i.u"]
 components = {{s = {{fmu = "{fmu}"}}, i = {{fmu = "{fmu}"}}}}
-open = ["i.switch", "i.level"]
+open = ["s.u", "s.switch", "s.level", "i.switch", "i.level"]
 
 [experiment]
 stop_time = 2.0
 tolerance = 1e-4
-{output}
-
-[metrics]
-size = {{metric = "ise", of = "s.z"}}
-{sweep}
 """
 
-COARSE = "The points of the run are too far apart for 'size': s.z is off the straight line"
-FIXED = "The tolerance of 0.0001 is not kept, as not all FMUs take other steps"
 
-
-def written(folder: Path, fmu: Path, output: str = "", sweep: str = "") -> Path:
-    file = folder / "signals.toml"
-    file.write_text(SCENARIO.format(fmu=fmu, output=output, sweep=sweep), "utf-8")
-    return file
-
-
-def test_a_metric_over_long_steps_is_doubted(tmp_path: Path) -> None:
-    """The integral of cos(50 t)^2 is 1 + sin(200) / 200 over two seconds."""
-    fmu = signals_fmu(tmp_path)
-    done = command("run", written(tmp_path, fmu), "--out", tmp_path / "long")
+def test_a_tolerance_that_is_not_kept_is_told(tmp_path: Path) -> None:
+    file, folder = tmp_path / "fixed.toml", tmp_path / "out"
+    file.write_text(SCENARIO.format(fmu=signals_fmu(tmp_path, fixed=True)), "utf-8")
+    done = command("run", file, "--out", folder, "--progress", "quiet")
     assert done.returncode == 0, done.stderr
-    assert COARSE in done.stdout
-    (record,) = open_results(tmp_path / "long").runs
-    assert record.remark.startswith(COARSE)
-    fine = written(tmp_path, fmu, "output_interval = 0.005")
-    done = command("run", fine, "--out", tmp_path / "fine")
-    assert done.returncode == 0, done.stderr
-    assert "too far apart" not in done.stdout
-    (record,) = open_results(tmp_path / "fine").runs
-    assert record.metrics["size"] == pytest.approx(0.99563, abs=1e-3)
-    assert record.remark == ""
-
-
-def test_a_sweep_says_how_many_runs_do_not_keep_their_tolerance(tmp_path: Path) -> None:
-    fmu = signals_fmu(tmp_path, fixed=True)
-    file = written(tmp_path, fmu, sweep='[[sweep.axes]]\nset = "s.w"\nvalues = [1.0, 2.0]')
-    done = command("sweep", file, "--out", tmp_path / "results", "--progress", "quiet")
-    assert done.returncode == 0, done.stderr
-    (line,) = [line for line in done.stderr.splitlines() if FIXED in line]
-    assert line.startswith("congelation: warning: 2 x, such as run ")
+    results = open_results(folder)
+    (record,) = results.runs
+    said = "The tolerance of 0.0001 is not kept, as not all FMUs take other steps"
+    assert record.remark.startswith(said)
+    assert record.estimated_error > 1e-4
+    assert done.stderr.splitlines() == [f"congelation: warning: fixed: {record.remark}"]
+    write_html(results, tmp_path / "page.html")
+    assert f'<p class="note">fixed: {record.remark}</p>' in (tmp_path / "page.html").read_text()

@@ -11,9 +11,10 @@ import pytest
 from congelation.report.export_formats import write_csv
 from congelation.results.record import Trajectory
 from congelation.results.results import Results
+from congelation.scenario.metrics import metric
 from congelation.scenario.parts import MetricSpec
 from congelation.sweep.engine import run
-from congelation.verify.measure import Points, doubts, measure
+from congelation.verify.measure import Points, measure, unresolved
 from tests.scenarios import SCALAR, write
 
 STEP = "step = 0.01"
@@ -96,24 +97,16 @@ def test_every_declared_metric_of_the_loop_has_its_function() -> None:
     assert all(METRICS[name].loop for name in declared)
 
 
-@pytest.mark.parametrize(("points", "is_doubted"), [(11, True), (15, False)])
-def test_metrics_of_points_that_are_too_far_apart_are_named(points: int, is_doubted: bool) -> None:
-    """So many points in each period of a sine, at distances that differ by a factor of 3."""
-    time = np.cumsum(np.tile([0.5, 1.5], 10 * points)) * 2.0 * np.pi / points
-    columns = {"a.y": np.sin(time), "a.z": 2.0 - 1e-3 * time, "a.zero": 0.0 * time}
-    trajectory = Trajectory(time, tuple(columns), np.column_stack([*columns.values()]), {})
-    specs = [
-        MetricSpec(name, kind, of, {})
-        for name, kind, of in (
-            ("size", "ise", "a.y"),
-            ("way", "drift", "a.y"),
-            ("top", "peak", "a.y"),
-            ("line", "iae", "a.z"),
-            ("none", "ise", "a.zero"),
-        )
-    ]
-    found = doubts(specs, trajectory)
-    assert len(found) == is_doubted
-    for line in found:
-        assert line.startswith("The points of the run are too far apart for 'size' and 'top': a.y")
-        assert line.endswith("give an output_interval.")
+@pytest.mark.parametrize(("points", "named"), [(6, True), (9, True), (13, False), (41, False)])
+def test_an_integral_over_too_few_points_is_named(points: int, named: bool) -> None:
+    """Two periods of a sine, whose square has the integral 1."""
+    time = np.linspace(0.0, 2.0, 2 * points + 1)
+    values = np.sin(2.0 * np.pi * time)[:, None]
+    specs = [MetricSpec("ise_v", "ise", "a.v"), MetricSpec("peak_v", "peak", "a.v")]
+    trajectory = Trajectory(time, ("a.v",), values, {})
+    lines = list(unresolved(specs, trajectory))
+    assert [line.split(",")[0] for line in lines] == [
+        "The points are too far apart for metric ise_v"
+    ] * named
+    if not named:
+        assert metric("ise").function(time, values) == pytest.approx(1.0, rel=0.02)
