@@ -67,8 +67,8 @@ class Halving:
     found : float
         Error of the last step tried, the largest of all links, relative to nominal value plus size.
     estimate : float
-        The same over the share of the tolerance that it may have, for a result to state: a value that
-        no input sees may have more, and more is stated.
+        The same over the share of the tolerance that a step may have, for a result to state. A
+        value that no input sees may have more, and more is stated.
     """
 
     sizes: Floats

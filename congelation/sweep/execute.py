@@ -25,7 +25,7 @@ from congelation.results.store import Store
 from congelation.results.trajectory_file import trajectory_bytes
 from congelation.scenario.parts import Settings
 from congelation.scenario.scenario import Case, Scenario
-from congelation.verify.measure import Points, measure
+from congelation.verify.measure import Points, measure, unresolved
 
 __all__ = [
     "ERROR",
@@ -206,7 +206,8 @@ def _simulated(
         return _outcome(result), kept
     # What is measured of a whole run.
     measured_case = Case(case.system, experiment)
-    metrics = measure(scenario.metrics, measured_case, points.with_rows(kept) if apart else kept)
+    measured = points.with_rows(kept) if apart else kept
+    metrics = measure(scenario.metrics, measured_case, measured)
     margins = [metrics[m.name] for m in scenario.metrics if m.metric == "lyapunov"]
     deviations = compare(expected, kept) if expected is not None else ()
     if margins and job.trajectories:
@@ -216,6 +217,7 @@ def _simulated(
             kept = with_certificate(measured_case, kept)
     return replace(
         _outcome(result),
+        message=" ".join([result.message, *unresolved(scenario.metrics, measured)]),
         metrics=metrics,
         worst_margin=max((m for m in margins if m is not None), default=None),
         deviations={deviation.variable: deviation.relative for deviation in deviations},

@@ -229,3 +229,25 @@ def test_info_shows_ranges_items_and_where_an_fmu_cannot_be_run(tmp_path: Path) 
     )
     assert "low = 1" in done.stdout
     assert fmu_info(FMUS / "ScalarPlant.fmu").missing == ""
+
+
+def test_two_python_fmus_with_one_module_name_are_told_apart(tmp_path: Path) -> None:
+    """A process can import one module of a name: the second FMU would run the first one's code."""
+    other = tmp_path / "Other.fmu"
+    with (
+        zipfile.ZipFile(FMUS / "ScalarPlant.fmu") as old,
+        zipfile.ZipFile(other, "w") as new,
+    ):
+        module = old.read("resources/slavemodule.txt").decode().strip()
+        for name in old.namelist():
+            end = b"\n# another model\n" if name == f"resources/{module}.py" else b""
+            new.writestr(name, old.read(name) + end)
+    scenario = tmp_path / "two.toml"
+    parts = "".join(
+        f'[components.{name}]\nfmu = "{file}"\nstart = {{u = 0.0}}\n'
+        for name, file in (("a", FMUS / "ScalarPlant.fmu"), ("b", other))
+    )
+    scenario.write_text(f'title = "Two"\n{parts}[experiment]\nstop_time = 0.1\nstep = 0.01\n')
+    done = command("run", scenario, "--out", tmp_path / "out", "--progress", "quiet")
+    assert done.returncode == 2
+    assert f"different modules of one name, '{module}.py'" in done.stderr.splitlines()[-1]
