@@ -402,7 +402,8 @@ def take(
             state = stepper.start(end, state)
     settle_discrete(ensemble, end)
     values = ensemble.discrete_values() if rules.switches else []
-    session.largest_error = max(session.largest_error, trial.error)
+    stated = run.halving.estimate if rules.halves else trial.error
+    session.largest_error = max(session.largest_error, stated)
     if rules.halves:
         run.halving = run.halving.accepted(ensemble.Y[ensemble.judged])
     if rules.predicts:

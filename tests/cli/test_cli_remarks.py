@@ -1,4 +1,4 @@
-"""What a run that reached its stop time has to say: told by ``run``, and on the page of the runs."""
+"""What a run that reached its stop time has to say: told by `run`, and on the page of the runs."""
 
 from __future__ import annotations
 
