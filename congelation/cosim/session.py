@@ -46,8 +46,8 @@ UNITS_BEFORE = 8.0
 """Units in the last place within which two times are the same."""
 
 GAP = 1e-9
-"""Part of the horizon between an announced jump and the point that counts as before it. Sources that
-compare with a margin (``t >= 0.35 - 1e-12``) have jumped a little before the time they announce.
+"""Part of the horizon between an announced jump and the point that counts as before it. Sources
+that compare with a margin (``t >= 0.35 - 1e-12``) have jumped a little before the time announced.
 Inputs are held over the gap, which costs half of their rate times its square."""
 
 
