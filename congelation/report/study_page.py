@@ -487,4 +487,5 @@ def _failures(runs: Sequence[RunRecord]) -> Iterator[str]:
         (variant, [status, cause or "–", str(len(found)), found[0].run_id, found[0].message])
         for (variant, status, cause), found in kinds.items()
     ]
-    yield from table(["status", "cause", "runs", "for example", "message"], lines, "What failed")
+    heads = ["status", "cause", "runs", "for example", "message"]
+    yield from table(heads, lines, "What failed", text=True)
