@@ -69,6 +69,13 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
     given = {f"{c.name}.{name}" for c in components for name in c.start}
     given |= {name for variant in variants for name in variant.settings}
     given |= set(sweep.names()) if sweep is not None else set()
+    varied = [name for variant in variants for name in variant.settings]
+    _refuse_twins(document, "metrics", (spec.name for spec in metrics))
+    _refuse_twins(
+        document,
+        "sweep" if sweep else "variants",
+        (*varied, *(sweep.names() if sweep is not None else ())),
+    )
     left_open = document.attempt("open", partial(_open, resolved, reader.driven, top["open"]))
     return {
         "title": top["title"],
@@ -87,6 +94,18 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
             )
         ),
     }
+
+
+def _refuse_twins(document: Section, key: str, names: Iterable[str]) -> None:
+    """Raise InvalidInput where two names differ by case alone: SQLite takes them for one column."""
+    known: dict[str, str] = {}
+    for name in names:
+        if (other := known.setdefault(name.lower(), name)) != name:
+            raise document.error(
+                key,
+                f"name '{other}' and '{name}', which differ by case alone; result files "
+                "cannot keep them apart",
+            )
 
 
 def _component(section: Section, name: str) -> Component:
