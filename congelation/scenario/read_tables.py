@@ -38,6 +38,8 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
     `stem` names the variant of a scenario that has none.
     """
     top = document.read(keys.SCENARIO)
+    if not top["title"].isprintable():
+        raise document.wrong("title", "characters that can be shown, in one line")
     components = tuple(_component(s, name) for name, s in top["components"].subsections())
     connections = tuple(
         document.attempt("connections", partial(Connection.parse, connection))
@@ -161,7 +163,7 @@ def _experiment(section: Section) -> Experiment:
 
 
 def _metric(section: Section, name: str, resolved: ResolvedSystem) -> MetricSpec:
-    if "." in name or not name.strip():
+    if "." in name or not name.strip() or not name.isprintable():
         raise section.within(f"choose a name other than '{name}'")
     read = section.read(keys.METRIC)
     found = section.attempt("metric", partial(metric, read["metric"]))
@@ -230,6 +232,8 @@ def _variants(sections: Iterable[Section], reader: SettingsReader) -> tuple[Vari
     for section in sections:
         read = section.read(keys.VARIANT)
         name = read["name"]
+        if not name.isprintable():
+            raise section.wrong("name", "characters that can be shown, in one line")
         if any(name == other.name for other in variants):
             raise section.error("name", f"= '{name}' is given twice; names must differ")
         variants.append(Variant(name, reader.read(read["set"])))
