@@ -222,9 +222,6 @@ def read_buildable(file: Path) -> Spec | BlockSpec:
     structure = _structure(read["structure"], form)
     plant, controller, special = top.attempt("structure", lambda: form.models(structure))
     units = read_units(read["units"], name, structure, plant, controller)
-    if "Upsilon" in structure and "theta_hat" not in read["units"].data:
-        # Estimated is vartheta, whose units are not those of theta.
-        units = {name: unit for name, unit in units.items() if name != "theta_hat"}
     sections = read["plant"], read["controller"]
     if structure.get("radius") == "estimated" and "delta" in sections[1].section("start").data:
         raise (
