@@ -7,6 +7,7 @@ A `Table` lists the keys of a table of a file: type, default, unit, range and on
 from __future__ import annotations
 
 import math
+import os
 import tomllib
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -369,9 +370,9 @@ def read_document(file: Path) -> tuple[str, Section]:
     InvalidInput
         If the file cannot be read or is not TOML; what else it is, if that is clear.
     """
-    if file.is_dir():
+    if os.path.isdir(file):  # unlike Path.is_dir, also of a name that is too long
         raise InvalidInput(f"{file}: this is a folder; give a file (.toml)")
-    if zipfile.is_zipfile(file):
+    if os.path.isfile(file) and zipfile.is_zipfile(file):
         raise InvalidInput(f"{file}: this is {_archive_kind(file)}")
     try:
         text = file.read_text(encoding="utf-8-sig")  # with or without a byte order mark

@@ -23,6 +23,7 @@ from congelation.cli.shared import (
     print_summary,
 )
 from congelation.cosim.compiled import available
+from congelation.cosim.result import Status
 from congelation.errors import CongelationError, InvalidInput, counted
 from congelation.places import check_file
 from congelation.report.summary import without_effect
@@ -38,8 +39,8 @@ from congelation.sweep.estimate import estimate
 from congelation.sweep.local import Local
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Workers
-from congelation.verify.assumptions import scenario_warnings
 from congelation.verify.reference import LARGEST_DEVIATION
+from congelation.verify.scenario_assumptions import scenario_warnings
 
 __all__ = ["export_ssp", "run", "sweep"]
 
@@ -157,6 +158,7 @@ def run(
                     print(f"{record.variant}: {line}")
         print_figures(results)
         _say_where(results)
+    _warn_of_completed(records)
     complaints = [*_complaints(records)]
     for complaint in complaints:
         complain(complaint)
@@ -232,6 +234,7 @@ def sweep(
         _say_where(results)
     for name in without_effect(results.study()):
         complain(f"warning: {name} makes no difference: its values give the same metrics")
+    _warn_of_completed(results.runs)
     if _complain_of_failures(results.runs):
         raise typer.Exit(FAILED)
 
@@ -356,6 +359,19 @@ def _complain_of_failures(records: Iterable[RunRecord]) -> int:
             first = same[0]
             complain(f"{len(same)} x, such as run {first.run_id}: {first.message}")
     return failed
+
+
+def _warn_of_completed(records: Iterable[RunRecord]) -> None:
+    """What runs have to say beyond having reached their stop time, each kind once."""
+    kinds: dict[str, list[tuple[RunRecord, str]]] = {}
+    for record in records:
+        text = record.message.removeprefix(Status.COMPLETED.value).strip()
+        if record.status == Status.COMPLETED.name and text:
+            kinds.setdefault(_NUMBER.sub("#", text), []).append((record, text))
+    for same in sorted(kinds.values(), key=len, reverse=True)[:MOST_CAUSES]:
+        record, text = same[0]
+        others = f" (and {counted(len(same) - 1, 'other run')})" if len(same) > 1 else ""
+        complain(f"warning: {record.variant}{others}: {text}")
 
 
 def _complaints(records: Iterable[RunRecord]) -> Iterator[str]:

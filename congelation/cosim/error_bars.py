@@ -24,8 +24,9 @@ from congelation.cosim.experiment import Experiment, slave_tolerance
 from congelation.cosim.further_runs import Note, observed, probed
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
-from congelation.cosim.rerun import Again, Ahead, At
+from congelation.cosim.rerun import Again, At
 from congelation.cosim.result import Result, Trust
+from congelation.cosim.second_process import Ahead
 from congelation.cosim.sinks import Memory
 from congelation.cosim.system import Recorded, System
 from congelation.errors import InvalidInput
@@ -166,7 +167,7 @@ def _with_bars(
         if not base.names:
             return replace(base, trust=Trust.unknown("nothing is recorded"))
         table = np.column_stack([base.time, base.values]) if first.sink is None else rows.rows()
-        again = Again(run, experiment, base.statistics, reached, table, first.interval, ahead)
+        again = Again(run, experiment, base.statistics, reached, table, first.interval, ahead.ended)
         resolved = system.resolve()
         trust = _judged(
             again,
@@ -230,25 +231,19 @@ def _judged(
     if mode == "order":
         order, notes = observed(again, np.abs(signed), ~switched, FLOOR * peaks, names)
     found, differs = _widths(again, signed, switched, order, peaks, switches=switches)
+    if mode == "probe":
+        notes += probed(again, found, names)
+    runs = 1.0 + again.steps / (statistics.macro_steps * (3.0 if statistics.parts > 1 else 1.0))
     with np.errstate(divide="ignore", invalid="ignore"):
         relative = np.nan_to_num(found.max(axis=0) / peaks, nan=0.0)
     relative[switched] = differs
-    if mode == "probe":
-        notes += probed(again, found, names)
     verdicts = tuple(map(_verdict, relative))
     worst = int(np.argmax(relative))
     passes = found > RESOLVED * peaks
-    trust = Trust(
-        NOT_RESOLVED if any(note.settles for note in notes) else verdicts[worst],
-        "",
-        float(relative[worst]),
-        found,
-        relative,
-        verdicts,
-        tuple(float(time[at.argmax()]) if at.any() else None for at in passes.T),
-        float(np.min(order)),
-        1.0 + again.steps / (statistics.macro_steps * (3.0 if statistics.parts > 1 else 1.0)),
-    )
+    since = tuple(float(time[at.argmax()]) if at.any() else None for at in passes.T)
+    error, least = float(relative[worst]), float(np.min(order))
+    verdict = NOT_RESOLVED if any(note.settles for note in notes) else verdicts[worst]
+    trust = Trust(verdict, "", error, found, relative, verdicts, since, least, runs)
     at = float(time[int(np.argmax(found[:, worst]))])
     return replace(trust, line=_line(trust, names, worst, at, bool(switched[worst]), notes))
 

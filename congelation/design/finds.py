@@ -22,8 +22,8 @@ from congelation.scenario.metrics import metric
 from congelation.scenario.scenario import MetricSpec, Scenario
 from congelation.theory.certificate import ROUNDING
 from congelation.theory.closed_loop import SmoothPiece, Solution
-from congelation.verify.assumptions import case_assumptions
 from congelation.verify.certify import Design, certify_design
+from congelation.verify.scenario_assumptions import case_assumptions
 
 __all__ = ["DIFFERENCE", "Attack", "Bound", "Find", "Objective", "Trial", "judged", "solved_again"]
 

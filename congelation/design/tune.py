@@ -30,7 +30,7 @@ from numpy.typing import NDArray
 from congelation.arguments import checked
 from congelation.design.tuning_candidates import OBJECTIVES, Candidates, Evaluator
 from congelation.errors import InvalidInput, require_count
-from congelation.export.assumptions import spec_assumptions
+from congelation.export.spec_assumptions import spec_assumptions
 from congelation.signals import box_radius
 from congelation.verify.certify import Design, certify_design
 

@@ -20,13 +20,13 @@ from pythonfmu.builder import FmuBuilder, get_model_description
 
 from congelation.arguments import checked
 from congelation.errors import CongelationError, DesignWarning, InvalidInput
-from congelation.export.assumptions import spec_warnings
 from congelation.export.embedded_c import controller_code
 from congelation.export.model_description import complete
 from congelation.export.native_fmu import native_fmu
 from congelation.export.pack import write_archive
 from congelation.export.platforms import Platform, chosen_platforms
 from congelation.export.spec import BlockSpec, FmuSpec, Spec, read_buildable
+from congelation.export.spec_assumptions import spec_warnings
 from congelation.export.stage import Staged, stage
 from congelation.fmi.validation import validate
 from congelation.places import check_folder, shipped
@@ -112,6 +112,30 @@ def build(
         raise InvalidInput("no spec is given; name one or more, such as specs/f16_pitch.toml")
     check_folder("--out", folder)
     groups = _groups(chosen, folder) if native else {folder: ()}
+    read = _read(specs, c_code=c_code)
+    for spec in read:
+        for line in spec_warnings(spec) if isinstance(spec, Spec) else ():
+            warnings.warn(f"spec '{spec.name}': {line}", DesignWarning, stacklevel=2)
+    paths: list[Path] = []
+    try:
+        for spec in read:
+            for fmu in spec.fmus:
+                if c_code:
+                    if fmu.role == "controller":
+                        paths += controller_code(fmu, folder / fmu.name)
+                    continue
+                for path in _build_fmu(fmu, spec, groups):
+                    paths.append(path)
+                    _update_manifest(path.parent / "manifest.json", path, fmu, spec)
+    except OSError as error:
+        raise CongelationError(f"{folder}: an FMU cannot be written: {error}") from error
+    return paths
+
+
+def _read(
+    specs: Sequence[Spec | BlockSpec | Path | str], *, c_code: bool
+) -> list[Spec | BlockSpec]:
+    """The specs, read; refuses what would overwrite another, and C code of a block."""
     read = [
         spec if isinstance(spec, Spec | BlockSpec) else read_buildable(Path(spec)) for spec in specs
     ]
@@ -130,23 +154,7 @@ def build(
                 f"spec '{spec.name}': a block has no controller to write as C; build it without "
                 "--c-code"
             )
-    for spec in read:
-        for line in spec_warnings(spec) if isinstance(spec, Spec) else ():
-            warnings.warn(f"spec '{spec.name}': {line}", DesignWarning, stacklevel=2)
-    paths: list[Path] = []
-    try:
-        for spec in read:
-            for fmu in spec.fmus:
-                if c_code:
-                    if fmu.role == "controller":
-                        paths += controller_code(fmu, folder / fmu.name)
-                    continue
-                for path in _build_fmu(fmu, spec, groups):
-                    paths.append(path)
-                    _update_manifest(path.parent / "manifest.json", path, fmu, spec)
-    except OSError as error:
-        raise CongelationError(f"{folder}: an FMU cannot be written: {error}") from error
-    return paths
+    return read
 
 
 def _groups(platforms: Sequence[Platform], folder: Path) -> dict[Path, tuple[Platform, ...]]:

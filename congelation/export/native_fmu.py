@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import uuid
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -137,33 +137,10 @@ def model_source(
 
 
 def _tables(model: Model, interface: Interface, states: Sequence[StateVariable]) -> list[str]:
-    roles: dict[int, tuple[str, int]] = {}
-    for role, references in (
-        ("INPUT", interface.inputs),
-        ("OUTPUT", interface.outputs),
-        ("DERIVATIVE", interface.derivatives),
-        ("GAIN", interface.gains),
-        ("THETA", interface.theta),
-        ("NEXT_EVENT", interface.next_event),
-    ):
-        roles |= {vr: (role, index) for index, vr in enumerate(references)}
     constants = [vr for vr, v in enumerate(interface.variables) if v.causality == "parameter"]
     place = {vr: index for index, vr in enumerate(constants)}
-    rows = []
-    for vr, v in enumerate(interface.variables):
-        role, index = roles.get(vr) or ("CONSTANT", place[vr])
-        start = 0.0 if v.start is None or isinstance(v.start, str) else float(v.start)
-        rows.append(f"{{\"{v.name}\", '{v.type[0]}', {role}, {index}, {start!r}}}")
-    rows += [
-        f"{{\"{s.derivative.name}\", 'R', RATE, {i}, 0.0}}"
-        for i, s in enumerate(states)
-        if s.derivative_reference >= len(interface.variables)
-    ]
     own = {v.name: len(constants) + i for i, v in enumerate(native_parameters(model, interface))}
-    rows += [
-        f"{{\"{v.name}\", '{v.type[0]}', CONSTANT, {own[v.name]}, {float(v.start or 0)!r}}}"
-        for v in native_parameters(model, interface)
-    ]
+    rows = [*_variables(model, interface, states, place, own)]
     parameters = [
         f'{{"{p.variables.name}", {p.domain.name}, {references[0]}, {len(references)}, '
         f"{p.variables.shape[1]}}}"
@@ -198,6 +175,35 @@ def _tables(model: Model, interface: Interface, states: Sequence[StateVariable])
         *_array("fmi2ValueReference STATE_REFERENCES", [str(s.reference) for s in states] or ["0"]),
         *_array("struct profile_slots PROFILE_SLOTS", slots or ["{0}"]),
     ]
+
+
+def _variables(
+    model: Model,
+    interface: Interface,
+    states: Sequence[StateVariable],
+    place: Mapping[int, int],
+    own: Mapping[str, int],
+) -> Iterator[str]:
+    """The rows of the table of variables: name, type, role, index in the role, start value."""
+    roles: dict[int, tuple[str, int]] = {}
+    for role, references in (
+        ("INPUT", interface.inputs),
+        ("OUTPUT", interface.outputs),
+        ("DERIVATIVE", interface.derivatives),
+        ("GAIN", interface.gains),
+        ("THETA", interface.theta),
+        ("NEXT_EVENT", interface.next_event),
+    ):
+        roles |= {vr: (role, index) for index, vr in enumerate(references)}
+    for vr, v in enumerate(interface.variables):
+        role, index = roles.get(vr) or ("CONSTANT", place[vr])
+        start = 0.0 if v.start is None or isinstance(v.start, str) else float(v.start)
+        yield f"{{\"{v.name}\", '{v.type[0]}', {role}, {index}, {start!r}}}"
+    for i, s in enumerate(states):
+        if s.derivative_reference >= len(interface.variables):
+            yield f"{{\"{s.derivative.name}\", 'R', RATE, {i}, 0.0}}"
+    for v in native_parameters(model, interface):
+        yield f"{{\"{v.name}\", '{v.type[0]}', CONSTANT, {own[v.name]}, {float(v.start or 0)!r}}}"
 
 
 def _array(declaration: str, rows: Iterable[str]) -> list[str]:
@@ -308,30 +314,32 @@ def _rows(value: object) -> Sequence[Sequence[float]]:
 
 
 def _equations(model: Model, special: Special | None) -> list[str]:
-    general = constants_of(model)
-    lines = c_functions("general", general, (*equation_blocks(model), tangents_block(model)))
+    """The equations, general and special ones where there are such, and what chooses of both."""
+    lines = _functions("general", model)
+    if special is not None:
+        lines += ["", *_functions("special", special.model)]
+    return [*lines, "", *_binding(model, special), *_calls(model, special)]
+
+
+def _functions(name: str, model: Model) -> list[str]:
+    return c_functions(name, constants_of(model), (*equation_blocks(model), tangents_block(model)))
+
+
+def _binding(model: Model, special: Special | None) -> list[str]:
+    """``model_bind``: parameters and gains become the constants of the equations."""
+    general = [name for name, _ in constants_of(model)]
     count = sum(len(p.variables.names) for p in model.parameters)
     simple: list[str] = []
     choice = "0"
     if special is not None:
-        place = {name: i for i, (name, _) in enumerate(general)}
-        taken = [place[name] for name, _ in constants_of(special.model)]
-        lines += [
-            "",
-            *c_functions(
-                "special",
-                constants_of(special.model),
-                (*equation_blocks(special.model), tangents_block(special.model)),
-            ),
-        ]
-        choice = " && ".join(f"p[{place[name]}] == {v!r}" for name, v in special.values.items())
+        taken = [general.index(name) for name, _ in constants_of(special.model)]
+        choice = " && ".join(f"p[{general.index(n)}] == {v!r}" for n, v in special.values.items())
         simple = [
             f"    double q[{max(len(taken), 1)}];",
             *(f"    q[{i}] = p[{k}];" for i, k in enumerate(taken)),
             "    special_bind(q, &all->special);",
         ]
-    lines += [
-        "",
+    return [
         "struct all {",
         "    int is_special;",
         "    struct general general;",
@@ -351,14 +359,21 @@ def _equations(model: Model, special: Special | None) -> list[str]:
         *simple,
         "}",
     ]
+
+
+def _calls(model: Model, special: Special | None) -> list[str]:
+    """``model_rates`` and the others: each calls the special equations or the general ones."""
+    lines: list[str] = []
     # Each takes the groups x, v, d, theta; the equations take d and theta where they need them.
     theta = ("theta",) if model.driven else ()
-    for name, accepted, passed in (
-        ("rates", ("x", "v", "theta"), ("x", "v", *theta)),
-        ("outputs", ("x", "v", "theta"), ("x", "v", *theta)),
-        ("derivatives", ("x", "v", "d", "theta"), ("x", "v", "d", *theta)),
-        ("tangents", _TANGENT_ARGUMENTS, _TANGENT_ARGUMENTS),
+    for name, groups in (
+        ("rates", "xv"),
+        ("outputs", "xv"),
+        ("derivatives", "xvd"),
+        ("tangents", ""),
     ):
+        accepted = (*groups, "theta") if groups else _TANGENT_ARGUMENTS
+        passed = (*groups, *theta) if groups else _TANGENT_ARGUMENTS
         arguments = "".join(f", const double *{group}" for group in accepted)
         lines += [
             "",

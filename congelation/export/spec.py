@@ -66,7 +66,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -210,42 +210,42 @@ def read_buildable(file: Path) -> Spec | BlockSpec:
         if key in top.data:
             what = "a block" if name in BLOCKS else "a plant and its controller"
             raise top.error(key, f"does not belong to the form '{name}', which is {what}")
-    if name in BLOCKS:
-        block = BLOCKS[name]
-        structure = _structure(read["structure"], block)
-        model = top.attempt("structure", lambda: block.model(structure))
-        measured = model.with_units(read_units(read["units"], name, structure, model))
-        fmu = _profiled(read["block"], measured, file.parent, block.room)
-        fmu = replace(fmu, role="block", run_time=block.run_time)
-        return BlockSpec(file.stem, title, name, structure, fmu)
-    form = FORMS[name]
-    structure = _structure(read["structure"], form)
-    plant, controller, special = top.attempt("structure", lambda: form.models(structure))
-    units = read_units(read["units"], name, structure, plant, controller)
-    sections = read["plant"], read["controller"]
-    if structure.get("radius") == "estimated" and "delta" in sections[1].section("start").data:
-        raise (
-            sections[1]
-            .section("start")
-            .error(
-                "delta",
-                'is given, while radius = "estimated"; leave one of them out (docs/theory.md, '
-                "'Unknown radius')",
-            )
+    return (_block_spec if name in BLOCKS else _pair_spec)(file, top, read, name, title)
+
+
+def _block_spec(
+    file: Path, top: Section, read: Mapping[str, Any], form: str, title: str
+) -> BlockSpec:
+    block = BLOCKS[form]
+    structure = _structure(read["structure"], block)
+    model = top.attempt("structure", lambda: block.model(structure))
+    measured = model.with_units(read_units(read["units"], form, structure, model))
+    fmu = _profiled(read["block"], measured, file.parent, block.room)
+    fmu = replace(fmu, role="block", run_time=block.run_time)
+    return BlockSpec(file.stem, title, form, structure, fmu)
+
+
+def _pair_spec(file: Path, top: Section, read: Mapping[str, Any], form: str, title: str) -> Spec:
+    structure = _structure(read["structure"], FORMS[form])
+    models = top.attempt("structure", lambda: FORMS[form].models(structure))
+    plant_model, controller_model, special = models
+    units = read_units(read["units"], form, structure, plant_model, controller_model)
+    section: Section = read["controller"]
+    start = section.section("start")
+    if structure.get("radius") == "estimated" and "delta" in start.data:
+        raise start.error(
+            "delta",
+            'is given, while radius = "estimated"; leave one of them out (docs/theory.md, '
+            "'Unknown radius')",
         )
-    blocks = (
-        replace(
-            _profiled(sections[0], plant.with_units(units), file.parent),
-            role="plant",
-            run_time="driven",
-        ),
-        _block(sections[1], controller.with_units(units), special),
-    )
-    if blocks[0].name.lower() == blocks[1].name.lower():
-        raise sections[1].error(
-            "name", f"= '{blocks[1].name}' is the plant's too; give the two FMUs different names"
+    plant = _profiled(read["plant"], plant_model.with_units(units), file.parent)
+    plant = replace(plant, role="plant", run_time="driven")
+    controller = _block(section, controller_model.with_units(units), special)
+    if plant.name.lower() == controller.name.lower():
+        raise section.error(
+            "name", f"= '{controller.name}' is the plant's too; give the two FMUs different names"
         )
-    return Spec(file.stem, title, name, structure, *blocks)
+    return Spec(file.stem, title, form, structure, plant, controller)
 
 
 def _structure(section: Section, form: Form | BlockForm) -> Structure:

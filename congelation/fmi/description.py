@@ -19,7 +19,7 @@ from lxml import etree
 
 from congelation.errors import InvalidInput, nearest
 from congelation.fmi.units import BASE, Unit, is_rate, unit_named
-from congelation.fmi.unpack import DAMAGED, check_archive, require_no_other_kind
+from congelation.fmi.unpack import DAMAGED, check_archive, parse_xml, require_no_other_kind
 
 __all__ = [
     "ANNOTATION",
@@ -238,9 +238,8 @@ def _read(path: Path) -> Description:
     except (*DAMAGED, KeyError) as error:
         raise InvalidInput(f"{path} is not an FMU: {error}") from error
     try:
-        # No entities and no network: an FMU may come from anyone.
-        root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
-    except etree.XMLSyntaxError as error:
+        root = parse_xml(content)
+    except ValueError as error:
         raise InvalidInput(f"{path}: unreadable modelDescription.xml: {error}") from error
     _require_fmi_2(path, root)
     try:
@@ -293,6 +292,11 @@ def _check_references(root: etree._Element) -> None:
         reference = int(variable.get("valueReference", ""))
         if not 0 <= reference <= LARGEST_REFERENCE or not variable.get("name"):
             raise ValueError(f"line {variable.sourceline}: a variable without name or reference")
+        if not variable.get("name", "").isprintable():
+            raise ValueError(f"line {variable.sourceline}: a variable's name has a line break")
+    for item in root.iterfind("TypeDefinitions/SimpleType/Enumeration/Item"):
+        if not -(2**31) <= int(item.get("value", "")) < 2**31:
+            raise ValueError(f"line {item.sourceline}: an item does not fit in 32 bits")
     for unknown in root.iterfind("ModelStructure/*/Unknown"):
         for text in (unknown.get("index", ""), *unknown.get("dependencies", "").split()):
             if not 1 <= int(text) <= len(variables):
@@ -374,13 +378,15 @@ def _proposed_step(model: fmpy.model_description.ModelDescription) -> float | No
 def _units(model: fmpy.model_description.ModelDescription) -> dict[str, Unit]:
     """The UnitDefinitions; a display value is factor * v + offset of the unit's own values v."""
     found: dict[str, Unit] = {}
+    counts = Counter(unit.name for unit in model.unitDefinitions)
     for unit in model.unitDefinitions:
         base = unit.baseUnit
         if base is None:
             continue
         exponents = tuple(int(getattr(base, symbol) or 0) for symbol in BASE)
         factor, offset = float(base.factor), float(base.offset)
-        if not _converts(factor, offset):  # no definition: what has this unit cannot be compared
+        # No definition, or several: what has this unit cannot be compared.
+        if not _converts(factor, offset) or counts[unit.name] > 1:
             found[unit.name] = Unit(unit.name)
             continue
         found[unit.name] = Unit(unit.name, exponents, factor, offset)

@@ -6,9 +6,11 @@ import zipfile
 import zlib
 from pathlib import Path, PurePosixPath
 
+from lxml import etree
+
 from congelation.errors import InvalidInput
 
-__all__ = ["DAMAGED", "check_archive", "require_no_other_kind", "unpack_archive"]
+__all__ = ["DAMAGED", "check_archive", "parse_xml", "require_no_other_kind", "unpack_archive"]
 
 MOST_BYTES = 2 * 2**30
 """Unpacked, of all files: several times the largest FMUs there are."""
@@ -89,6 +91,23 @@ def check_archive(file: Path, kind: str) -> None:
             f"{file}: grows to {size / packed:.0f} times its size; "
             f"at most {MOST_COMPRESSION:g} times is unpacked"
         )
+
+
+def parse_xml(content: bytes) -> etree._Element:
+    """The root of an XML document that may come from anyone.
+
+    Raises
+    ------
+    ValueError
+        It is no XML, or declares a document type, whose entities could be anything.
+    """
+    try:
+        root = etree.fromstring(content, etree.XMLParser(resolve_entities=False, no_network=True))
+    except etree.XMLSyntaxError as error:
+        raise ValueError(f"no XML: {error.msg}") from error
+    if root.getroottree().docinfo.internalDTD is not None:
+        raise ValueError("it declares a document type; files of FMI and SSP have none")
+    return root
 
 
 def unpack_archive(file: Path, folder: Path, kind: str) -> None:

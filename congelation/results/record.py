@@ -12,7 +12,17 @@ import numpy.typing as npt
 
 from congelation.cosim.result import Status
 
-__all__ = ["GROUPS", "STRETCHES", "Outcome", "RunRecord", "Steps", "Study", "Trajectory", "thin"]
+__all__ = [
+    "COLUMNS",
+    "GROUPS",
+    "STRETCHES",
+    "Outcome",
+    "RunRecord",
+    "Steps",
+    "Study",
+    "Trajectory",
+    "thin",
+]
 
 Array = npt.NDArray[np.float64]
 
@@ -132,7 +142,7 @@ class RunRecord(Outcome):
     def row(self) -> dict[str, Any]:
         """The record by column."""
         row: dict[str, Any] = {}
-        for name, column in _COLUMNS.items():
+        for name, column in COLUMNS.items():
             value = getattr(self, name)
             if name in GROUPS:
                 row.update({f"{column}{key}": entry for key, entry in value.items()})
@@ -144,7 +154,7 @@ class RunRecord(Outcome):
     def of(cls, row: Mapping[str, Any]) -> RunRecord:
         """The record that a row holds; of deviations and FMUs, those that there are."""
         values: dict[str, Any] = {
-            name: row[column] for name, column in _COLUMNS.items() if column in row
+            name: row[column] for name, column in COLUMNS.items() if column in row
         }
         for name, prefix in GROUPS.items():
             group = {k.removeprefix(prefix): v for k, v in row.items() if k.startswith(prefix)}
@@ -155,10 +165,11 @@ class RunRecord(Outcome):
 
 
 _FIRST = ("run_id", "study", "number", "variant", "replicate", "settings")
-_COLUMNS = {
+COLUMNS: Mapping[str, str] = {
     name: GROUPS.get(name, name.replace("trust_", "trust."))
     for name in dict.fromkeys((*_FIRST, *(f.name for f in fields(RunRecord))))
 }
+"""The columns by field, in order; of several values, what their names begin with."""
 
 
 @dataclass(frozen=True)

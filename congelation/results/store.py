@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -30,7 +31,6 @@ from congelation.cosim.result import Status
 from congelation.errors import InvalidInput, nearest
 from congelation.places import StoreError, check_folder, replace_whole
 from congelation.results import tables
-from congelation.results.planned import PlannedRuns
 from congelation.results.record import RunRecord, Trajectory
 from congelation.results.trajectory_file import read_trajectory
 
@@ -42,6 +42,52 @@ ENDED = (Status.COMPLETED.name, Status.TERMINATED.name)
 
 BUSY = 60.0
 """Seconds to wait for another process that writes into the same directory."""
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedRuns:
+    """The runs of a plan, in the order of their keys: a million are kept and compared in seconds.
+
+    Parameters
+    ----------
+    keys : array, shape (N,)
+        The run_ids as numbers of 64 bits, rising.
+    numbers : array, shape (N,)
+        The place of each in the plan.
+    """
+
+    keys: npt.NDArray[np.uint64]
+    numbers: npt.NDArray[np.int64]
+
+    @classmethod
+    def of(cls, runs: Iterable[tuple[int, str]]) -> PlannedRuns:
+        """The runs with these numbers and run_ids; a run_id that comes again is left out."""
+        numbers, keys = array("q"), array("Q")
+        for number, run_id in runs:
+            numbers.append(number)
+            keys.append(int(run_id, 16))
+        found, first = np.unique(np.array(keys, np.uint64), return_index=True)
+        return cls(found, np.array(numbers, np.int64)[first])
+
+    @classmethod
+    def from_bytes(cls, keys: bytes, numbers: bytes) -> PlannedRuns:
+        """What `to_bytes` was made of."""
+        return cls(np.frombuffer(keys, "<u8"), np.frombuffer(numbers, "<i8"))
+
+    def to_bytes(self) -> tuple[bytes, bytes]:
+        """Keys and numbers as bytes, the same on every machine."""
+        return self.keys.astype("<u8").tobytes(), self.numbers.astype("<i8").tobytes()
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def places(self, run_ids: Collection[str]) -> npt.NDArray[np.intp]:
+        """Where these runs stand in the arrays; -1 for one that is not in the plan."""
+        wanted = np.array([int(run_id, 16) for run_id in run_ids], np.uint64)
+        if not len(self):
+            return np.full(len(wanted), -1, np.intp)
+        found = np.minimum(np.searchsorted(self.keys, wanted), len(self) - 1)
+        return np.where(self.keys[found] == wanted, found, -1)
 
 
 class Store:

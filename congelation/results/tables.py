@@ -8,45 +8,28 @@ from __future__ import annotations
 import itertools
 import sqlite3
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from typing import Any
 
 import pyarrow as pa
 
-from congelation.results.record import GROUPS, RunRecord
+from congelation.results.record import COLUMNS, GROUPS, RunRecord
 
 ROWS_AT_ONCE = 10_000
 """Rows read at a time, which bounds the memory that an export takes."""
 
-_TYPES = {bool: "BOOLEAN", int: "INTEGER", float: "REAL", str: "TEXT"}
-_TYPED = {
-    "run_id": "TEXT PRIMARY KEY",
-    "number": "INTEGER",
-    "replicate": "INTEGER",
-    "steps": "INTEGER",
-    "rejected_steps": "INTEGER",
-    "iterations": "INTEGER",
-    "warnings": "INTEGER",
-    "estimated_error": "REAL",
-    "wall_time": "REAL",
-    "worst_margin": "REAL",
-    "trust.error": "REAL",
-    "seed": "INTEGER",
-    "numerics_version": "INTEGER",
-}
-"""Columns that are not TEXT."""
+_TYPES = {"bool": "BOOLEAN", "int": "INTEGER", "float": "REAL", "str": "TEXT"}
+"""The types of columns, by those of Python."""
 
 _ORDER = "FROM runs LEFT JOIN studies USING (study) {where} ORDER BY used, study, number, run_id"
 
 
-def _row(**groups: Any) -> dict[str, Any]:
-    """The columns of a record with some groups, in order."""
-    return RunRecord(run_id="", variant="", status="", **groups).row()
-
-
 def make_tables(connection: sqlite3.Connection) -> None:
     """Make the tables that are not there yet: runs, studies, plans."""
-    empty = _row()
-    columns = ", ".join(f"{_quoted(name)} {_TYPED.get(name, 'TEXT')}" for name in empty)
+    declared = {f.name: str(f.type).partition(" ")[0] for f in fields(RunRecord)}
+    kinds = {column: _TYPES[declared[n]] for n, column in COLUMNS.items() if n not in GROUPS}
+    kinds["run_id"] += " PRIMARY KEY"
+    columns = ", ".join(f"{_quoted(column)} {kind}" for column, kind in kinds.items())
     connection.execute(f"CREATE TABLE IF NOT EXISTS runs ({columns})")
     connection.execute(
         "CREATE TABLE IF NOT EXISTS studies (study TEXT PRIMARY KEY, about TEXT, used REAL)"
@@ -66,7 +49,7 @@ def insert(connection: sqlite3.Connection, rows: Sequence[Mapping[str, Any]]) ->
     for row in rows:
         for name in row.keys() - known:
             kind = "REAL" if name.startswith(GROUPS["metrics"]) else ""
-            new[name] = _TYPES.get(type(row[name])) or new.get(name, kind)
+            new[name] = _TYPES.get(type(row[name]).__name__) or new.get(name, kind)
     for name in dict.fromkeys(name for row in rows for name in row if name in new):
         connection.execute(f"ALTER TABLE runs ADD COLUMN {_quoted(name)} {new[name]}")
     for names, group in itertools.groupby(rows, tuple):
@@ -80,8 +63,7 @@ def insert(connection: sqlite3.Connection, rows: Sequence[Mapping[str, Any]]) ->
 def columns_of(connection: sqlite3.Connection) -> list[tuple[str, str]]:
     """Name and type of every column: those of all runs first, the groups in their places."""
     found = [(row[1], row[2]) for row in connection.execute("PRAGMA table_info(runs)")]
-    # Names of the columns, the prefixes of groups in the places of these.
-    order = list(_row(**{name: {"": ""} for name in GROUPS}))
+    order = list(COLUMNS.values())
 
     def place(entry: tuple[str, str]) -> int:
         prefix = next((p for p in GROUPS.values() if entry[0].startswith(p)), entry[0])

@@ -152,8 +152,8 @@ def _out_of_range(settings: Iterable[_Setting]) -> Iterator[str]:
             )
 
 
-MOST_PERIODS = 1e6
-"""In a run; with more, the steps that resolve them all take hours, and longer ones miss them."""
+MOST_PERIODS = 1e8
+"""In a run; with more, the steps that resolve them all take hours at the least."""
 
 # The numbers of a profile that say how often it turns, and how many times in a second.
 _TURNS: Mapping[str, Callable[[float], float]] = {

@@ -63,6 +63,8 @@ class Metric:
         ``evaluate(case, time, columns, values)``, the states of the loop among the columns.
     recorded : bool
         True if such a metric is of every variable that the experiment records.
+    integral : bool
+        True if it is an integral over time, which needs points as close as the signal turns.
     positive : tuple of str
         Those of the options that have to be positive.
     times, values : tuple of str
@@ -77,6 +79,7 @@ class Metric:
     scalar: bool = False
     loop: bool = False
     recorded: bool = False
+    integral: bool = False
     positive: tuple[str, ...] = ()
     times: tuple[str, ...] = ()
     values: tuple[str, ...] = ()
@@ -261,24 +264,28 @@ _BUILT_IN = (
         integral_of_square,
         "int |v|^2 dt, the square of the L_2 norm (Desoer and Vidyasagar 1975, ch. II)",
         _times("s", "^2"),
+        integral=True,
     ),
     Metric(
         "ise",
         integral_of_square,
         "int |v|^2 dt, integral of squared error (Graham and Lathrop 1953)",
         _times("s", "^2"),
+        integral=True,
     ),
     Metric(
         "iae",
         integral_of_absolute,
         "int |v| dt, integral of absolute error (Graham and Lathrop 1953)",
         _times("s"),
+        integral=True,
     ),
     Metric(
         "itae",
         integral_of_time_absolute,
         "int t |v| dt, integral of time times absolute error (Graham and Lathrop 1953)",
         _times("s^2"),
+        integral=True,
     ),
     Metric(
         "drift",

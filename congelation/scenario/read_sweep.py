@@ -175,6 +175,8 @@ def _list(
 ) -> tuple[Settings, ...]:
     """One entry per value; with several names, each value holds one for each of them."""
     together = isinstance(section.data["set"], list)
+    if not names:
+        raise section.error("set", "is empty; name the settings of the axis")
     if twice := next((name for name in names if names.count(name) > 1), None):
         raise section.error("set", f"sets '{twice}' twice; leave one of them out")
     entries = []
@@ -192,6 +194,11 @@ def _list(
         raise section.error("set", "names one variable in two ways; leave one of them out")
     if any(entry.keys() != entries[0].keys() for entry in entries):
         raise section.error("values", "do not all set the same variables")
+    for index, entry in enumerate(entries, start=1):
+        if (first := entries.index(entry) + 1) < index:
+            raise section.error(
+                f"values[{index}]", f"is that of values[{first}]; leave one of them out"
+            )
     return tuple(entries)
 
 

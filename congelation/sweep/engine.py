@@ -9,16 +9,18 @@ missing.
 from __future__ import annotations
 
 import itertools
+import sys
 import time
 import warnings
 from collections import Counter, deque
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from congelation.arguments import checked
-from congelation.errors import DesignWarning, InvalidInput
+from congelation.errors import DesignWarning, InvalidInput, counted
 from congelation.places import StoreError
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
@@ -27,10 +29,9 @@ from congelation.scenario.scenario import Scenario
 from congelation.sweep.cluster import Cluster
 from congelation.sweep.execute import REFUSED, Task
 from congelation.sweep.local import Local
-from congelation.sweep.notebook import notebook_progress
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Finished, Lost, Progress, Remark, Workers
-from congelation.verify.assumptions import scenario_warnings
+from congelation.verify.scenario_assumptions import scenario_warnings
 
 __all__ = ["Listener", "Tally", "carry_out", "read", "result_folder", "run", "sweep"]
 
@@ -42,6 +43,9 @@ TASK_SECONDS = 0.05
 
 MEMORY_PERIOD = 0.5
 """Seconds between two looks at the memory of the workers."""
+
+NOTEBOOK_PERIOD = 0.2
+"""Seconds between two changes of what a notebook shows."""
 
 
 @dataclass(frozen=True)
@@ -126,18 +130,8 @@ def run(
     >>> [run.variant for run in results.runs]
     ['Controller 1', 'Controller 2']
     """
-    place = Local(workers)
-    found = read(scenario)
-    _warn(found)
-    plan = plan_study(
-        found,
-        result_folder(found, out),
-        swept=False,
-        verify=verify,
-        trust=trust,
-        timeout=timeout,
-    )
-    return carry_out(plan, place, progress or notebook_progress())
+    options = {"swept": False, "verify": verify, "trust": trust, "timeout": timeout}
+    return _study(scenario, Local(workers), out, progress, options)
 
 
 @checked
@@ -191,18 +185,9 @@ def sweep(
     12
     """
     place = Local(workers) if scheduler is None else Cluster(scheduler, ship=ship)
-    found = read(scenario)
-    _warn(found)
-    plan = plan_study(
-        found,
-        result_folder(found, out),
-        swept=True,
-        resume=resume or bool(retry),
-        retry=retry,
-        verify=verify,
-        timeout=timeout,
-    )
-    return carry_out(plan, place, progress or notebook_progress())
+    again = {"resume": resume or bool(retry), "retry": retry}
+    options = {"swept": True, **again, "verify": verify, "timeout": timeout}
+    return _study(scenario, place, out, progress, options)
 
 
 def read(scenario: Scenario | Path | str) -> Scenario:
@@ -210,12 +195,22 @@ def read(scenario: Scenario | Path | str) -> Scenario:
     return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
 
 
-def _warn(scenario: Scenario) -> None:
-    """Warn the caller of `run` or `sweep` as the commands do."""
-    for line in scenario.warnings:
+def _study(
+    scenario: Scenario | Path | str,
+    workers: Workers,
+    out: Path | str | None,
+    progress: Listener | None,
+    options: Mapping[str, Any],
+) -> Results:
+    """Plan a study, with `options` of `plan_study`, and carry it out; warn as the commands do."""
+    found = read(scenario)
+    # The caller is that of `run` or `sweep`.
+    for line in found.warnings:
         warnings.warn(line, UserWarning, stacklevel=3)
-    for line in scenario_warnings(scenario):
+    for line in scenario_warnings(found):
         warnings.warn(line, DesignWarning, stacklevel=3)
+    plan = plan_study(found, result_folder(found, out), **options)
+    return carry_out(plan, workers, progress or _notebook_progress())
 
 
 def result_folder(scenario: Scenario, out: Path | str | None) -> Path:
@@ -227,6 +222,32 @@ def result_folder(scenario: Scenario, out: Path | str | None) -> Path:
     if scenario.file is None:
         raise InvalidInput("a scenario without a file has no folder for its results; give out")
     return Path("results") / scenario.file.stem
+
+
+def _notebook_progress() -> Listener | None:
+    """What shows progress in the notebook that runs this process; None where there is none."""
+    if "ipykernel" not in sys.modules:
+        return None
+    from IPython import get_ipython  # there with every kernel
+    from IPython.display import HTML, display
+
+    if get_ipython() is None:  # the kernel's package is there, but runs nothing here
+        return None
+
+    handle = display(HTML(""), display_id=True)
+    shown = -NOTEBOOK_PERIOD
+
+    def show(tally: Tally) -> None:
+        nonlocal shown
+        now = time.monotonic()
+        if now - shown < NOTEBOOK_PERIOD and tally.done < tally.total:
+            return
+        shown = now
+        part = tally.done + tally.under_way
+        text = f"{tally.done} of {counted(tally.total, 'run')}, {tally.failed} failed"
+        handle.update(HTML(f'<progress value="{part}" max="{tally.total}"></progress> {text}'))
+
+    return show
 
 
 def carry_out(plan: Plan, workers: Workers, progress: Listener | None = None) -> Results:

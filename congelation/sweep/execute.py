@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from congelation.cosim.bands import variable_of
 from congelation.cosim.error_bars import trusted
@@ -24,7 +25,7 @@ from congelation.results.store import Store
 from congelation.results.trajectory_file import trajectory_bytes
 from congelation.scenario.parts import Settings
 from congelation.scenario.scenario import Case, Scenario
-from congelation.verify.measure import Points, measure
+from congelation.verify.measure import Points, measure, unresolved
 
 __all__ = [
     "ERROR",
@@ -166,8 +167,10 @@ def execute(
 def _simulated(
     job: Job, task: Task, pool: SlavePool, progress: Callable[[float], None]
 ) -> tuple[Outcome, Trajectory]:
+    """What a run gave, and its trajectory."""
     scenario = job.scenario
     case = scenario.case(task.settings)
+    # The workers may be on another machine: with other FMUs, or another congelation.
     descriptions = {c.name: describe(c.fmu) for c in case.system.components}
     found = {name: description.sha256 for name, description in descriptions.items()}
     if job.numerics != NUMERICS_VERSION or found != job.fmus:
@@ -175,6 +178,7 @@ def _simulated(
             "congelation or the FMUs are not those that planned the study; install the same "
             "version everywhere, leave both alone meanwhile, and --resume"
         )
+    # An estimate does the first part of a run.
     experiment = job.recorded(case.experiment)
     length = experiment.stop_time - experiment.start_time
     if task.fraction < 1.0:
@@ -189,26 +193,21 @@ def _simulated(
     output, points = experiment.output, Points(scenario.measured if scenario.metrics else ())
     apart = output is not None and bool(scenario.metrics or job.trajectories)
     outputs = [output, Output(sink=points)] if output is not None and apart else None
+    how: dict[str, Any] = {"output": outputs, "progress": progress, "pool": pool}
     if job.trust is False:
-        result = perform(case.system, experiment, output=outputs, progress=progress, pool=pool)
+        result = perform(case.system, experiment, **how)
     else:
-        result = trusted(
-            perform,
-            case.system,
-            experiment,
-            job.trust,
-            output=outputs,
-            progress=progress,
-            pool=pool,
-        )
+        result = trusted(perform, case.system, experiment, job.trust, **how)
     CALLS.clear()  # what ends the process from here on is no FMU
     steps = Steps.between(points.times() if apart else result.time) if job.trajectories else None
     units = _units(descriptions, result.names)
     kept = Trajectory(result.time, result.names, result.values, units, steps)
     if not result.whole:  # a metric of half a run would pass for one of a whole run
         return _outcome(result), kept
+    # What is measured of a whole run.
     measured_case = Case(case.system, experiment)
-    metrics = measure(scenario.metrics, measured_case, points.with_rows(kept) if apart else kept)
+    measured = points.with_rows(kept) if apart else kept
+    metrics = measure(scenario.metrics, measured_case, measured)
     margins = [metrics[m.name] for m in scenario.metrics if m.metric == "lyapunov"]
     deviations = compare(expected, kept) if expected is not None else ()
     if margins and job.trajectories:
@@ -218,6 +217,7 @@ def _simulated(
             kept = with_certificate(measured_case, kept)
     return replace(
         _outcome(result),
+        message=" ".join([result.message, *unresolved(scenario.metrics, measured)]),
         metrics=metrics,
         worst_margin=max((m for m in margins if m is not None), default=None),
         deviations={deviation.variable: deviation.relative for deviation in deviations},

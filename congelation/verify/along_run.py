@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.errors import InvalidInput
-from congelation.export.assumptions import structured
+from congelation.export.spec_assumptions import structured
 from congelation.results.record import Trajectory
 from congelation.scenario.parts import Case
 from congelation.verify.certify import certificate_of

@@ -19,8 +19,8 @@ import numpy as np
 
 from congelation.arguments import checked
 from congelation.errors import InvalidInput, counted, require_count
-from congelation.export.assumptions import HORIZON, spec_assumptions, structured
 from congelation.export.spec import Spec, read_spec
+from congelation.export.spec_assumptions import HORIZON, spec_assumptions, structured
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Case, Scenario
 from congelation.signals import Profile, box_radius
@@ -35,8 +35,8 @@ from congelation.theory.lyapunov import (
     state_feedback_certificate,
 )
 from congelation.theory.saturation import Level, largest_level
-from congelation.verify.assumptions import case_assumptions, loops_of
 from congelation.verify.reference import reference
+from congelation.verify.scenario_assumptions import case_assumptions, loops_of
 
 __all__ = [
     "Certification",

@@ -7,7 +7,7 @@ knows no loop; their functions are here.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import final
 
 import numpy as np
@@ -15,10 +15,10 @@ import numpy.typing as npt
 
 from congelation.cosim.sinks import Memory, Sink
 from congelation.results.record import Trajectory
-from congelation.scenario.metrics import metric
+from congelation.scenario.metrics import metric, norm
 from congelation.scenario.parts import Case, MetricSpec
 
-__all__ = ["LOOP_METRICS", "Points", "measure"]
+__all__ = ["LOOP_METRICS", "Points", "measure", "unresolved"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -130,6 +130,32 @@ def measure(
         for of in dict.fromkeys(spec.of for spec in specs if not metric(spec.metric).loop)
     }
     return {spec.name: _value(spec, case, trajectory, groups) for spec in specs}
+
+
+UNRESOLVED = 0.2
+"""How far, in the mean, every second point may lie off the line between its neighbours, as a share
+of the signal: for a sine, ten points in a period."""
+
+
+def unresolved(specs: Sequence[MetricSpec], trajectory: Trajectory) -> Iterator[str]:
+    """A line for each integral whose points are too far apart for it."""
+    time = trajectory.time
+    if len(time) < 3:
+        return
+    odd = np.arange(1, len(time) - 1, 2)
+    widths = (time[2:] - time[:-2])[odd - 1]
+    shares = ((time[1:-1] - time[:-2])[odd - 1] / widths)[:, None]
+    for spec in specs:
+        if not metric(spec.metric).integral:
+            continue
+        values = trajectory.select(trajectory.group(spec.of))
+        line = (1.0 - shares) * values[odd - 1] + shares * values[odd + 1]
+        off = float(widths @ norm(values[odd] - line))
+        if off > UNRESOLVED * float(widths @ norm(values[odd])):
+            yield (
+                f"The points are too far apart for metric {spec.name}, as the signal turns between "
+                "them; give an output_interval or a shorter step."
+            )
 
 
 def _value(

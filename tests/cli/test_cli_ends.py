@@ -420,3 +420,21 @@ def test_a_search_from_standard_input_has_processes_too() -> None:
         timeout=120,
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "2\n", "")
+
+
+def test_what_a_completed_run_has_to_say_is_told(tmp_path: Path) -> None:
+    """Here that the points are too few for an integral; each kind once."""
+    file = write(
+        tmp_path,
+        SCALAR,
+        ("{square = {amplitude = 0.4, period = 0.3}}", "{sine = {amplitude = 0.4, omega = 200.0}}"),
+        ("{constant = -3.0}, ", ""),
+        ("[metrics]", '[metrics]\nise_theta = {metric = "ise", of = "plant.theta"}'),
+    )
+    done = congelation("run", file, "--out", tmp_path / "out", "--progress", "quiet")
+    assert done.returncode == 0
+    assert done.stderr.splitlines()[-1] == (
+        "congelation: warning: Controller 1 (and 1 other run): The points are too far apart for "
+        "metric ise_theta, as the signal turns between them; give an output_interval or a shorter "
+        "step."
+    )

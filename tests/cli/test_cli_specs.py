@@ -88,6 +88,42 @@ def test_certify_names_an_unstable_zero(congelation, tmp_path):
     assert "is not Hurwitz (Assumption 2): the plant has a zero at s = " in complaint
 
 
+@pytest.mark.parametrize(
+    ("b_1", "b_0", "said"),
+    [
+        ("{constant = 0.5}", "{constant = -1.0}", "(Assumption 2): the plant has a zero at s = 2"),
+        (
+            "{constant = 0.5}, {sine = {amplitude = 0.2, omega = 1.0}}",
+            "{constant = 0.1774}",
+            "varies between 0.3 and 0.7, and output feedback is proved for constant b",
+        ),
+    ],
+)
+@pytest.mark.slow
+def test_a_numerator_outside_the_theorem_is_refused_and_warned_of(
+    congelation, tmp_path, b_1, b_0, said
+):
+    """The observer form with n = 3, m = 1, as built FMUs: certify refuses, run warns."""
+    text = (ROOT / "scenarios" / "stable_zero3.toml").read_text("utf-8")
+    for old, new in (
+        ('"theta[1]" = [{constant = 1.151}]', f'"theta[1]" = [{b_1}]'),
+        ('"theta[2]" = [{constant = 0.1774}]', f'"theta[2]" = [{b_0}]'),
+        ("stop_time = 20.0", "stop_time = 0.1"),
+    ):
+        assert old in text
+        text = text.replace(old, new)
+    file = tmp_path / "zero.toml"
+    file.write_text(text, encoding="utf-8")
+    done = congelation("certify", file, "--samples", "10")
+    assert done.returncode == 3
+    assert all(said in line for line in done.stderr.splitlines())
+    done = congelation("run", file, "--out", tmp_path / "out", "--progress", "quiet")
+    assert done.returncode == 0
+    warnings = [line for line in done.stderr.splitlines() if said in line]
+    assert len(warnings) == 2  # of each controller
+    assert all(line.startswith("congelation: warning: ") for line in warnings)
+
+
 def test_certify_says_where_precision_ends(congelation, tmp_path):
     done = congelation("certify", changed(tmp_path, "scalar", "epsilon = 1,", "epsilon = 1e-12,"))
     assert done.returncode == 1

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 
 from benchmarks.coupling.problems import Problem, problem
-from congelation.cosim import Component, Output, ParquetFile, Status, System, rerun, simulate
+from congelation.cosim import (
+    Component,
+    Output,
+    ParquetFile,
+    Status,
+    System,
+    second_process,
+    simulate,
+)
 from congelation.cosim.bands import FLOOR, MARGIN, amplified, bands, error_name, variable_of
 from congelation.cosim.error_bars import trusted
 from congelation.cosim.experiment import Experiment
@@ -134,12 +142,14 @@ def test_rows_of_their_own_times_get_bars_as_well(parts, tmp_path):
 def test_a_second_process_finds_the_same(parts, monkeypatch, name, ability, coupling):
     found = problem(name)
     alone = run(found, parts, ability, coupling, step=0.02, trust=True)
-    monkeypatch.setattr(rerun, "LOOKED_AT", 0.0)
-    monkeypatch.setattr(rerun, "WORTH", 0.0)
-    monkeypatch.setattr(rerun, "PROCESSORS", 1)
+    monkeypatch.setattr(second_process, "LOOKED_AT", 0.0)
+    monkeypatch.setattr(second_process, "WORTH", 0.0)
+    monkeypatch.setattr(second_process, "PROCESSORS", 1)
     started = []
-    start = rerun.Ahead._start
-    monkeypatch.setattr(rerun.Ahead, "_start", lambda self: (started.append(self), start(self)))
+    start = second_process.Ahead._start
+    monkeypatch.setattr(
+        second_process.Ahead, "_start", lambda self: (started.append(self), start(self))
+    )
     beside = run(found, parts, ability, coupling, step=0.02, trust=True)
     assert len(started) == 1
     assert (beside.values == alone.values).all()
@@ -150,10 +160,10 @@ def test_a_second_process_finds_the_same(parts, monkeypatch, name, ability, coup
 def test_a_second_process_that_dies_is_replaced(parts, monkeypatch):
     found = problem("relay")
     alone = run(found, parts, "held", "jacobi", step=0.02, trust=True)
-    monkeypatch.setattr(rerun, "LOOKED_AT", 0.0)
-    monkeypatch.setattr(rerun, "WORTH", 0.0)
-    monkeypatch.setattr(rerun, "PROCESSORS", 1)
-    monkeypatch.setattr(rerun, "MODULE", "congelation.no_such_module")
+    monkeypatch.setattr(second_process, "LOOKED_AT", 0.0)
+    monkeypatch.setattr(second_process, "WORTH", 0.0)
+    monkeypatch.setattr(second_process, "PROCESSORS", 1)
+    monkeypatch.setattr(second_process, "MODULE", "congelation.no_such_module")
     assert run(found, parts, "held", "jacobi", step=0.02, trust=True).trust.line == alone.trust.line
 
 

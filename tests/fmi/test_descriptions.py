@@ -97,6 +97,13 @@ def test_the_offset_of_a_unit_is_not_that_of_a_difference(tmp_path: Path, output
         ('max="5"', 'max="5" nominal="abc"', r"line 13: .*nominal.*'abc'"),
         ('K="1" offset', 'K="one" offset', r"line 4: .*K.*'one'"),
         ('"Difference"/>', '"Distance"/>', r"Distance"),
+        (
+            "<fmiModelDescription",
+            '<!DOCTYPE a [<!ENTITY e SYSTEM "file:///etc/passwd">]><fmiModelDescription',
+            r"it declares a document type; files of FMI and SSP have none",
+        ),
+        ('name="k"', 'name="k&#10;x"', r"line 14: a variable's name has a line break"),
+        ('"low" value="1"', '"low" value="99999999999"', r"line 6: .*value.*'99999999999'"),
     ],
 )
 def test_what_a_description_cannot_mean_is_refused(
@@ -107,6 +114,16 @@ def test_what_a_description_cannot_mean_is_refused(
         describe(file)
     assert str(caught.value).startswith(str(file))
     assert "\n" not in str(caught.value)
+
+
+def test_a_unit_that_is_defined_twice_is_not_compared(tmp_path: Path) -> None:
+    again = '<Unit name="K"><BaseUnit K="1" factor="2"/></Unit>'
+    file = fmu(tmp_path, "</UnitDefinitions>", f"{again}</UnitDefinitions>")
+    system = System(
+        (Component("one", file), Component("two", file)), (Connection("one.y", "two.u"),)
+    )
+    (link,) = system.resolve().links
+    assert link.doubt == "'K' and 'degC' cannot be compared"
 
 
 def test_a_proposed_step_that_is_no_number_proposes_nothing(tmp_path: Path) -> None:
@@ -212,3 +229,25 @@ def test_info_shows_ranges_items_and_where_an_fmu_cannot_be_run(tmp_path: Path) 
     )
     assert "low = 1" in done.stdout
     assert fmu_info(FMUS / "ScalarPlant.fmu").missing == ""
+
+
+def test_two_python_fmus_with_one_module_name_are_told_apart(tmp_path: Path) -> None:
+    """A process can import one module of a name: the second FMU would run the first one's code."""
+    other = tmp_path / "Other.fmu"
+    with (
+        zipfile.ZipFile(FMUS / "ScalarPlant.fmu") as old,
+        zipfile.ZipFile(other, "w") as new,
+    ):
+        module = old.read("resources/slavemodule.txt").decode().strip()
+        for name in old.namelist():
+            end = b"\n# another model\n" if name == f"resources/{module}.py" else b""
+            new.writestr(name, old.read(name) + end)
+    scenario = tmp_path / "two.toml"
+    parts = "".join(
+        f'[components.{name}]\nfmu = "{file}"\nstart = {{u = 0.0}}\n'
+        for name, file in (("a", FMUS / "ScalarPlant.fmu"), ("b", other))
+    )
+    scenario.write_text(f'title = "Two"\n{parts}[experiment]\nstop_time = 0.1\nstep = 0.01\n')
+    done = command("run", scenario, "--out", tmp_path / "out", "--progress", "quiet")
+    assert done.returncode == 2
+    assert f"different modules of one name, '{module}.py'" in done.stderr.splitlines()[-1]

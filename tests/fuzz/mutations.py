@@ -141,6 +141,53 @@ KEYS = (
         r"sweep\.axes\[1\]\.set sets 'controller\.epsilon' twice; leave one of them out",
     ),
     Mutation(
+        "an axis with one value twice",
+        _to(
+            "[[figures]]",
+            lambda r: (
+                '[sweep]\n[[sweep.axes]]\nset = "controller.epsilon"\n'
+                f"values = [{(value := r.uniform(0.1, 1))!r}, 2.0, {value!r}]\n[[figures]]"
+            ),
+        ),
+        2,
+        r"sweep\.axes\[1\]\.values\[3\] is that of values\[1\]; leave one of them out",
+    ),
+    Mutation(
+        "an axis of nothing",
+        _to(
+            "[[figures]]", lambda r: "[sweep]\n[[sweep.axes]]\nset = []\nvalues = [[]]\n[[figures]]"
+        ),
+        2,
+        r"sweep\.axes\[1\]\.set is empty; name the settings of the axis",
+    ),
+    Mutation(
+        "unit of a metric's option",
+        _to("below = 0.1", lambda r: f'below = {{value = {r.uniform(0.1, 1)!r}, unit = "kg"}}'),
+        2,
+        r"metrics\.settling_x\.below\.unit = 'kg' is not the unit of 'below'",
+    ),
+    Mutation(
+        "a metric's option without its value",
+        _to("below = 0.1", lambda r: f'below = {{{word(r)} = 0.1, unit = "1"}}'),
+        2,
+        r"metrics\.settling_x\.below\.\w+ is not known here; valid: value, unit",
+    ),
+    Mutation(
+        "a name of a file that is too long",
+        _to(f"{FMUS}/ScalarPlant.fmu", lambda r: word(r) * r.randint(100, 999)),
+        2,
+        r"is no FMU in fmus/",
+    ),
+    Mutation(
+        "a table's name with a zero",
+        _to(
+            "{square = {amplitude = 0.4, period = 0.3}}",
+            lambda r: f'{{table = {{file = "{word(r)}\\u0000"}}}}',
+        ),
+        2,
+        r"components\.plant\.profile\.theta\[1\] cannot be read: embedded null byte",
+    ),
+    Mutation(
         "tolerance",
         _to("step = 0.01", lambda r: f"tolerance = {r.uniform(1, 9)!r}"),
         2,
@@ -498,6 +545,27 @@ SYSTEMS = (
         _to('"step": 0.01', lambda r: f'"step": {word(r)}'),
         2,
         r"annotation .* no JSON",
+    ),
+    Mutation(
+        "annotation with a key twice",
+        _to('"step": 0.01', lambda r: f'"step": {number(r)!r}, "step": 0.01'),
+        2,
+        r"annotation 'congelation': no JSON: 'step' is given twice",
+    ),
+    Mutation(
+        "annotation with connections",
+        _to('"experiment": {', lambda r: '"connections": [], "experiment": {'),
+        2,
+        r"annotation 'congelation': connections are those of the archive; leave them out",
+    ),
+    Mutation(
+        "document type",
+        _to(
+            "<ssd:SystemStructureDescription",
+            lambda r: f'<!DOCTYPE {word(r)} SYSTEM "{word(r)}"><ssd:SystemStructureDescription',
+        ),
+        2,
+        r"SystemStructure\.ssd: it declares a document type",
     ),
     Mutation(
         "coupling",

@@ -287,9 +287,9 @@ def test_options_of_metrics_in_other_units_are_refused(
     [
         ("square = {amplitude = 0.4, period = 1e-9}", "square[1].period' = 1e-09 makes 1e+09"),
         ("sine = {amplitude = 0.4, omega = 1e300}", "sine[1].omega' = 1e+300 makes 1.6e+299"),
-        ("telegraph = {amplitude = 1, rate = 1e8, seed = 1}", "rate' = 1e+08 makes 1e+08"),
+        ("telegraph = {amplitude = 1, rate = 1e9, seed = 1}", "rate' = 1e+09 makes 1e+09"),
         ("square = {amplitude = 0.0, period = 1e-9}", ""),
-        ("square = {amplitude = 0.4, period = 1e-5}", ""),
+        ("square = {amplitude = 0.4, period = 1e-7}", ""),
     ],
 )
 def test_a_profile_that_no_steps_resolve_is_named(tmp_path: Path, term: str, doubt: str) -> None:

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from congelation.errors import InvalidInput
-from congelation.export.assumptions import spec_warnings
 from congelation.export.spec import read_spec
+from congelation.export.spec_assumptions import spec_warnings
 from congelation.verify.certify import Verdict, assumptions, certify_design, designs_of
 
 ROOT = Path(__file__).resolve().parents[2]

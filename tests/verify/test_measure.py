@@ -11,8 +11,10 @@ import pytest
 from congelation.report.export_formats import write_csv
 from congelation.results.record import Trajectory
 from congelation.results.results import Results
+from congelation.scenario.metrics import metric
+from congelation.scenario.parts import MetricSpec
 from congelation.sweep.engine import run
-from congelation.verify.measure import Points, measure
+from congelation.verify.measure import Points, measure, unresolved
 from tests.scenarios import SCALAR, write
 
 STEP = "step = 0.01"
@@ -93,3 +95,18 @@ def test_every_declared_metric_of_the_loop_has_its_function() -> None:
     declared = {name for name, entry in METRICS.items() if entry.evaluate is None}
     assert declared == set(LOOP_METRICS)
     assert all(METRICS[name].loop for name in declared)
+
+
+@pytest.mark.parametrize(("points", "named"), [(6, True), (9, True), (13, False), (41, False)])
+def test_an_integral_over_too_few_points_is_named(points: int, named: bool) -> None:
+    """Two periods of a sine, whose square has the integral 1."""
+    time = np.linspace(0.0, 2.0, 2 * points + 1)
+    values = np.sin(2.0 * np.pi * time)[:, None]
+    specs = [MetricSpec("ise_v", "ise", "a.v"), MetricSpec("peak_v", "peak", "a.v")]
+    trajectory = Trajectory(time, ("a.v",), values, {})
+    lines = list(unresolved(specs, trajectory))
+    assert [line.split(",")[0] for line in lines] == [
+        "The points are too far apart for metric ise_v"
+    ] * named
+    if not named:
+        assert metric("ise").function(time, values) == pytest.approx(1.0, rel=0.02)

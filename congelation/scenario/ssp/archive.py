@@ -17,7 +17,7 @@ import fmpy
 from lxml import etree
 
 from congelation.errors import InvalidInput
-from congelation.fmi.unpack import unpack_archive
+from congelation.fmi.unpack import parse_xml, unpack_archive
 
 __all__ = [
     "ANNOTATION",
@@ -153,10 +153,9 @@ def parse(data: bytes, schema: str, place: str) -> etree._Element:
         Beginning with `place`, if it is no XML, or not valid.
     """
     try:
-        # No entities and no network: an archive may come from anyone.
-        root = etree.fromstring(data, etree.XMLParser(resolve_entities=False, no_network=True))
-    except etree.XMLSyntaxError as error:
-        raise InvalidInput(f"{place}: no XML: {error.msg}") from error
+        root = parse_xml(data)
+    except ValueError as error:
+        raise InvalidInput(f"{place}: {error}") from error
     wanted, version = _SSP + schema, root.get("version", "")
     if etree.QName(root).namespace != wanted:
         raise InvalidInput(

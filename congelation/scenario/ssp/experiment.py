@@ -31,13 +31,28 @@ def annotated_tables(root: etree._Element, archive: Archive) -> dict[str, object
     if element is None:
         return {}
     try:
-        tables = json.loads(element.text or "")
+        tables = json.loads(element.text or "", object_pairs_hook=_without_twins)
     # Besides errors of JSON, those of a number of thousands of digits and of deep nesting.
     except (ValueError, RecursionError) as error:
         raise archive.error(f"{SSD}: annotation '{ANNOTATION}': no JSON: {error}") from error
     if not isinstance(tables, dict):
         raise archive.error(f"{SSD}: annotation '{ANNOTATION}': give a JSON object")
+    for key in ("components", "connections", "open"):
+        if key in tables:
+            raise archive.error(
+                f"{SSD}: annotation '{ANNOTATION}': {key} are those of the archive; leave them out"
+            )
     return tables
+
+
+def _without_twins(pairs: list[tuple[str, object]]) -> dict[str, object]:
+    """A JSON object, none of whose keys is given twice: the last one would count in silence."""
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"'{twice}' is given twice")
+    return table
 
 
 def experiment_table(

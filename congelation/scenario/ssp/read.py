@@ -81,18 +81,25 @@ def _scenario(archive: Archive, experiment: Mapping[str, object]) -> Scenario:
     )
     text = content.decode(errors="replace")
     scenario = Scenario.from_document(Section(str(file), "", document), file, text)
-    warnings = [f"{file}: there is no variable for the parameter '{name}'" for name in ignored]
-    warnings += [
-        f"{file}: there is no variable for the connector '{element}.{connector}'"
-        for (element, connector), found in connectors.items()
-        if found.variable is None
+    unknown = [".".join(end) for end, found in connectors.items() if found.variable is None]
+    warnings = [
+        *_few([f"there is no variable for the parameter '{name}'" for name in ignored]),
+        *_few([f"there is no variable for the connector '{name}'" for name in unknown]),
+        *(f"the element '{a}' is called '{b}' here" for a, b in names.items() if a != b),
     ]
-    warnings += [
-        f"{file}: the element '{name}' is called '{plain}' here"
-        for name, plain in names.items()
-        if name != plain
-    ]
-    return scenario.changed(warnings=(*scenario.warnings, *warnings))
+    named = (f"{file}: {warning}" for warning in warnings)
+    return scenario.changed(warnings=(*scenario.warnings, *named))
+
+
+MOST_WARNINGS = 20
+"""Of one kind that are shown; of thousands nobody reads any."""
+
+
+def _few(lines: list[str]) -> list[str]:
+    """The first lines, and how many more there are."""
+    rest = len(lines) - MOST_WARNINGS
+    more = [f"{lines[0]}; {rest} more such are not shown"] if rest > 0 else []
+    return [*lines[:MOST_WARNINGS], *more]
 
 
 def _plain_names(elements: Iterable[str]) -> dict[str, str]:

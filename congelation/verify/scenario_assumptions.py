@@ -9,8 +9,8 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from congelation.cosim.system import Component
-from congelation.export.assumptions import degree_of, known_theta, of_rest, structured
 from congelation.export.forms import fit, models_of
+from congelation.export.spec_assumptions import degree_of, known_theta, of_rest, structured
 from congelation.scenario.scenario import Case, Scenario
 from congelation.theory.assumptions import Remark, remarks_on
 from congelation.verify.reference import start_values_of, theta_of

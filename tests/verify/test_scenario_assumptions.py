@@ -10,8 +10,8 @@ import pytest
 from congelation.errors import DesignWarning
 from congelation.export.build import build
 from congelation.scenario.load import load_scenario
-from congelation.verify.assumptions import case_assumptions
 from congelation.verify.certify import Verdict, certify_design, designs_of
+from congelation.verify.scenario_assumptions import case_assumptions
 from tests.scenarios import FMUS, SCALAR, write
 
 OBSERVER = f"""
