@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -124,25 +124,16 @@ def _with_progress(
                 tasks[task] = bar.add_task(text, total=1.0)
             bar.update(tasks[task], completed=done, description=text)  # type: ignore[arg-type]
 
+        more: dict[str, Any] = {
+            "variants": variants,
+            "effort": effort,
+            "seed": seed,
+            "progress": show,
+        }
         if vary:
-            return search_fmus(
-                loaded,
-                dict(map(_bounds, vary)),
-                objectives=objectives or (),
-                variants=variants,
-                effort=effort,
-                seed=seed,
-                progress=show,
-            )
-        return search(
-            loaded,
-            objectives=objectives or OBJECTIVES,
-            variants=variants,
-            effort=effort,
-            seed=seed,
-            workers=workers,
-            progress=show,
-        )
+            bounds = dict(map(_bounds, vary))
+            return search_fmus(loaded, bounds, objectives=objectives or (), **more)
+        return search(loaded, objectives=objectives or OBJECTIVES, workers=workers, **more)
 
 
 def _bounds(text: str) -> tuple[str, tuple[float, float]]:

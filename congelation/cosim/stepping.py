@@ -287,7 +287,8 @@ def run_adaptive(
             settle_discrete(ensemble, end)
             state = trial.state
             switched = switches and (values := ensemble.discrete_values()) != sent
-            session.largest_error = max(session.largest_error, trial.error)
+            stated = halving.estimate if stepper.halves else trial.error
+            session.largest_error = max(session.largest_error, stated)
             if stepper.halves:
                 halving = halving.accepted(ensemble.Y[ensemble.judged])
             if stepper.predicts:

@@ -12,6 +12,7 @@ from typing import Any
 from congelation import keys
 from congelation.cosim.system import Component, Connection, Recorded, ResolvedSystem, System
 from congelation.errors import InvalidInput, nearest
+from congelation.export.manifest import outdated
 from congelation.fmi.description import describe
 from congelation.scenario.doubts import doubts
 from congelation.scenario.metrics import Metric, metric
@@ -70,6 +71,7 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
     given |= {name for variant in variants for name in variant.settings}
     given |= set(sweep.names()) if sweep is not None else set()
     left_open = document.attempt("open", partial(_open, resolved, reader.driven, top["open"]))
+    described = [member.description for member in resolved.members]
     return {
         "title": top["title"],
         "system": system,
@@ -82,8 +84,17 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
         "measured": measured,
         "warnings": tuple(
             f"{document.file}: {doubt}"
-            for doubt in doubts(
-                resolved, experiment, metrics, variants, sweep, given, {*left_open, *reader.driven}
+            for doubt in (
+                *doubts(
+                    resolved,
+                    experiment,
+                    metrics,
+                    variants,
+                    sweep,
+                    given,
+                    {*left_open, *reader.driven},
+                ),
+                *filter(None, dict.fromkeys(outdated(d.path, d.sha256) for d in described)),
             )
         ),
     }

@@ -172,7 +172,8 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
             }
         }
         if (accepted) {
-            if (trial.error > loop->largest_error) loop->largest_error = trial.error;
+            const double stated = plan->halves ? memory->estimate : trial.error;
+            if (stated > loop->largest_error) loop->largest_error = stated;
             if (plan->halves) accept_halves(loop, memory);
             take(loop, plan, &states[0], &memory->state);
             return DONE;
