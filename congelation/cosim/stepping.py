@@ -67,7 +67,8 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
     event = session.next_event(session.start)
     if session.repeats and session.takes_back and len(ends := points.after(0, 1)):
         first = min(float(ends[0]), session.before(event)) - session.start
-        require_restored(session.ensemble, session.stepper, state, session.start, first)
+        if first > 0.0:  # else a jump follows at once
+            require_restored(session.ensemble, session.stepper, state, session.start, first)
     compiled = _compiled(session, None)
     time, k = session.start, 0
     while len(ends := points.after(k, session.most)):
