@@ -36,8 +36,8 @@ def study_verdict(study: Study) -> Iterator[str]:
     done, planned = len(study.records), study.about.get("planned", 0)
     if done < planned:
         yield (
-            f"{done} of {planned} runs are done, and what follows is of these alone; sweep --resume "
-            "does the others."
+            f"{done} of {planned} runs are done, and what follows is of these alone; "
+            "sweep --resume does the others."
         )
     variants: dict[str, list[RunRecord]] = {}
     for run in study.records:
