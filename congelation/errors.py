@@ -27,6 +27,7 @@ __all__ = [
     "amount",
     "counted",
     "nearest",
+    "one_line",
     "require_count",
     "shown",
 ]
@@ -153,6 +154,12 @@ def amount(shape: Sequence[int], noun: str = "number") -> str:
     if len(shape) == 2:
         return f"{counted(shape[0], 'row')} of {counted(shape[1], noun)}"
     return f"{' x '.join(map(str, shape))} {noun}s"
+
+
+def one_line(text: str) -> str:
+    """A text without line breaks, what a terminal would obey in it escaped."""
+    line = " ".join(text.split())
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in line)
 
 
 def shown(value: object) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from enum import StrEnum
 from functools import partial
 from pathlib import Path
 from typing import Annotated
@@ -24,14 +23,6 @@ from congelation.places import check_file, replace_whole
 from congelation.report.conformance import write_conformance
 
 __all__ = ["check"]
-
-
-class _FailOn(StrEnum):
-    """The values of --fail-on."""
-
-    VIOLATION = "violation"
-    WARNING = "warning"
-    ROBUSTNESS = "robustness"
 
 
 def _explain(name: str | None) -> None:
@@ -56,8 +47,8 @@ def check(
         bool, typer.Option("--static", help="Look at the archive and its XML alone; seconds.")
     ] = False,
     fail_on: Annotated[
-        _FailOn, typer.Option(help="The least level of findings that make the exit code 1.")
-    ] = _FailOn.VIOLATION,
+        Level, typer.Option(help="The least level of findings that make the exit code 1.")
+    ] = Level.VIOLATION,
     known: Annotated[
         Path | None, typer.Option(help="TOML file of accepted findings (rule, fmu, reason).")
     ] = None,
@@ -78,7 +69,6 @@ def check(
     ] = False,
 ) -> None:
     """Check FMUs against the rules of FMI 2.0; exit code 1 on a violation."""
-    level = Level(fail_on.value)
     chosen = select(rule or ()) or RULES
     for option, target in (("--junit", junit), ("--json", json), ("--html", html)):
         if target is not None:
@@ -123,13 +113,13 @@ def check(
         )
     for entry in report.unused:
         typer.echo(f"{known}: nothing was found for {entry}; remove the entry", err=True)
-    for target, text in ((json, to_json(report)), (junit, to_junit(report, level))):
+    for target, text in ((json, to_json(report)), (junit, to_junit(report, fail_on))):
         if target is not None:
             content = f"{text}\n".encode()
             replace_whole(target, partial(Path.write_bytes, data=content))
     if html is not None:
         write_conformance(report, html)
-    if report.failures(level):
+    if report.failures(fail_on):
         raise typer.Exit(FAILED)
     if not all(fmu.in_scope for fmu in report.fmus):
         raise typer.Exit(BAD_INPUT)

@@ -23,7 +23,6 @@ from congelation.cli.shared import (
     print_summary,
 )
 from congelation.cosim.compiled import available
-from congelation.cosim.result import Status
 from congelation.errors import CongelationError, InvalidInput, counted
 from congelation.places import check_file
 from congelation.report.summary import without_effect
@@ -363,15 +362,13 @@ def _complain_of_failures(records: Iterable[RunRecord]) -> int:
 
 def _warn_of_completed(records: Iterable[RunRecord]) -> None:
     """What runs have to say beyond having reached their stop time, each kind once."""
-    kinds: dict[str, list[tuple[RunRecord, str]]] = {}
+    kinds: dict[str, list[RunRecord]] = {}
     for record in records:
-        text = record.message.removeprefix(Status.COMPLETED.value).strip()
-        if record.status == Status.COMPLETED.name and text:
-            kinds.setdefault(_NUMBER.sub("#", text), []).append((record, text))
+        if record.remark:
+            kinds.setdefault(_NUMBER.sub("#", record.remark), []).append(record)
     for same in sorted(kinds.values(), key=len, reverse=True)[:MOST_CAUSES]:
-        record, text = same[0]
         others = f" (and {counted(len(same) - 1, 'other run')})" if len(same) > 1 else ""
-        complain(f"warning: {record.variant}{others}: {text}")
+        complain(f"warning: {same[0].variant}{others}: {same[0].remark}")
 
 
 def _complaints(records: Iterable[RunRecord]) -> Iterator[str]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -28,6 +28,16 @@ from congelation.report.summary import NOT_SETTLED
 from congelation.scenario.load import load_scenario
 
 __all__ = ["attack", "tune"]
+
+MEANT = {
+    "peak": "peak = max |x|",
+    "ise": "ise = int |x|^2 dt",
+    "late": "late = max |x| once it had settled",
+}
+"""What the objectives are that every scenario has."""
+
+NO_HIGHER = 1.02
+"""A peak up to this times |x(0)| is that of the start."""
 
 
 def attack(
@@ -83,8 +93,12 @@ def attack(
         print(
             "|z|^2 <= 2 V(0) and decay = int sum c_i z_i^2 dt <= V(0): what the certificate bounds"
         )
+    if legend := "; ".join(
+        text for name, text in MEANT.items() if any(f.objective == name for f in found.finds)
+    ):
+        print(legend)
     for find in found.finds:
-        if (line := _burst(find)) is not None:
+        if (line := _burst(find) or _none_higher(find)) is not None:
             print(line)
     for file in files:
         print(file)
@@ -124,25 +138,16 @@ def _with_progress(
                 tasks[task] = bar.add_task(text, total=1.0)
             bar.update(tasks[task], completed=done, description=text)  # type: ignore[arg-type]
 
+        more: dict[str, Any] = {
+            "variants": variants,
+            "effort": effort,
+            "seed": seed,
+            "progress": show,
+        }
         if vary:
-            return search_fmus(
-                loaded,
-                dict(map(_bounds, vary)),
-                objectives=objectives or (),
-                variants=variants,
-                effort=effort,
-                seed=seed,
-                progress=show,
-            )
-        return search(
-            loaded,
-            objectives=objectives or OBJECTIVES,
-            variants=variants,
-            effort=effort,
-            seed=seed,
-            workers=workers,
-            progress=show,
-        )
+            bounds = dict(map(_bounds, vary))
+            return search_fmus(loaded, bounds, objectives=objectives or (), **more)
+        return search(loaded, objectives=objectives or OBJECTIVES, workers=workers, **more)
 
 
 def _bounds(text: str) -> tuple[str, tuple[float, float]]:
@@ -168,6 +173,16 @@ def _cells(find: Find) -> list[str]:
     bound = find.bound
     energy = f"{2 * bound.energy:.4g} <= {2 * bound.V0:.4g}"
     return [*line, energy, f"{bound.decay:.4g} <= {bound.V0:.4g}"]
+
+
+def _none_higher(find: Find) -> str | None:
+    """One line on a peak that is the start."""
+    if find.objective != "peak" or not find.value <= NO_HIGHER * find.initial:
+        return None
+    return (
+        f"{find.variant}: no theta(t) found that takes |x| far above where it starts, "
+        f"{find.initial:.4g}"
+    )
 
 
 def _burst(find: Find) -> str | None:
@@ -196,7 +211,12 @@ def tune(
     below: Annotated[
         float, typer.Option(help="Bound on |x| below which it counts as settled.")
     ] = 1e-2,
-    stop_time: Annotated[float, typer.Option(help="End of the simulations in s.")] = 20.0,
+    stop_time: Annotated[
+        float | None,
+        typer.Option(
+            help="End of the simulations in s.", show_default="20, or twice --settling if longer"
+        ),
+    ] = None,
     evaluations: Annotated[int, typer.Option(min=10, help="Designs to try.")] = 600,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the search.")] = 0,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
@@ -213,8 +233,9 @@ def tune(
     ] = False,
 ) -> None:
     """Search for gains that meet a wish, or without one beat the spec's own; exit 1 if not met."""
-    if not below > 0.0 or not stop_time > 0.0:
-        raise InvalidInput(f"--below {below:g} --stop-time {stop_time:g}; valid: positive numbers")
+    for name, number in (("--below", below), ("--stop-time", stop_time)):
+        if number is not None and not number > 0.0:
+            raise InvalidInput(f"{name} {number:g}; valid: a positive number")
     folder = out if out is not None else Path("results") / f"{spec.stem}_tune"
     check_folder("--out", folder)
     read_spec(spec)  # what is wrong with it is said without a bar above
@@ -236,6 +257,7 @@ def tune(
                 resume=resume,
                 progress=lambda done, total: bar.update(task, completed=done, total=total),
             )
+            bar.update(task, total=found.evaluations, completed=found.evaluations)
     except KeyboardInterrupt as error:
         complain("interrupted; go on with --resume")
         raise typer.Exit(INTERRUPTED) from error
@@ -247,18 +269,19 @@ def tune(
 
 
 def _print_tuning(found: Tuning, files: list[Path]) -> None:
-    lines = [(f"{found.spec.stem}, as it is", [*_numbers(found.own), ""])]
-    lines += [
-        (file.stem, [*_numbers(p.objectives), "holds" if p.certified else "violated"])
-        for file, p in zip(files, found.front, strict=True)
-    ]
+    rows = [(f"{found.spec.stem}, as it is", found.own)]
+    rows += [(file.stem, proposal) for file, proposal in zip(files, found.front, strict=True)]
     print_table(
-        f"{found.spec}: {found.evaluations} designs tried; the first is the nearest to the wish",
+        f"{found.spec}: {found.evaluations} designs tried; the first after the spec's own is the "
+        f"nearest to the wish; simulated to {found.stop_time:g} s",
         ["settling, s", "int u^2 dt", "max |u|", "certificate"],
-        lines,
+        [
+            (name, [*_numbers(p.objectives), "holds" if p.certified else "violated"])
+            for name, p in rows
+        ],
     )
     for file, proposal in zip(files, found.front, strict=True):
-        print(f"{file}: {_gains(proposal)}")
+        print(f"{file}: {_gains(proposal) or 'the gains of the spec'}")
 
 
 def _numbers(objectives: Mapping[str, float]) -> list[str]:

@@ -17,6 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from congelation.errors import one_line
 from congelation.report.summary import summarise
 from congelation.report.verdict import reading_aids
 from congelation.results.print_figures import WIDTH, save
@@ -57,7 +58,7 @@ LABEL_WIDTH, COLUMN_WIDTH = 28, 16
 
 def complain(text: str) -> None:
     """One line on stderr."""
-    print(f"congelation: {' '.join(text.split())}", file=sys.stderr)
+    print(f"congelation: {one_line(text)}", file=sys.stderr)
 
 
 def interruptible(command: Callable[P, R]) -> Callable[P, R]:

@@ -284,9 +284,9 @@ class Bench:
             yield f"{what}: {difference}"
 
     @contextmanager
-    def held(self, name: str = "tested", *, phase: float = 0.0) -> Iterator[Instance]:
+    def held(self, name: str = "tested") -> Iterator[Instance]:
         """A new instance at the first communication point, freed at the end."""
-        instance = self.ready(name, phase=phase)
+        instance = self.ready(name)
         yield instance
         instance.free()
 

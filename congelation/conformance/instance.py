@@ -72,6 +72,7 @@ class Instance:
         self.library = library
         self.name = name
         self.messages: list[LogMessage] = []
+        self._fatal = False
         self._callbacks = Callbacks(
             logger=Logger(self._log), componentEnvironment=c_void_p(ENVIRONMENT)
         )
@@ -113,6 +114,7 @@ class Instance:
         value = self.library.call(name, self.component, *arguments)
         if value not in _STATUSES:
             raise Violated(f"fmi2{name} returned {value}, which is no fmi2Status")
+        self._fatal |= value == Status.FATAL
         return Status(value)
 
     def setup(
@@ -180,8 +182,8 @@ class Instance:
         return self.call("Reset")
 
     def free(self) -> None:
-        """fmi2FreeInstance; harmless a second time."""
-        if self.component is not None:
+        """fmi2FreeInstance; nothing a second time, and after fmi2Fatal, when no call is allowed."""
+        if self.component is not None and not self._fatal:
             self.library.call("FreeInstance", self.component)
             self.component = None
 

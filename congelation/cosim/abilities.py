@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.buffers import NO_DERIVATIVE
+from congelation.cosim.coupling import AdaptiveStepper, Stepper
 from congelation.cosim.ensemble import Ensemble
+from congelation.cosim.result import RunEnded
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import SlaveError
+from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
 __all__ = [
     "ABILITIES",
     "LENGTHS",
     "REFUSED_LENGTH",
     "REFUSED_STATE",
-    "REPEATED",
-    "ROUNDING",
     "SLOPES",
     "STATES",
     "Abilities",
     "Lack",
     "lack_of",
+    "require_restored",
 ]
 
 Floats = npt.NDArray[np.float64]
@@ -244,3 +246,57 @@ class Abilities:
                     f"{ensemble.Y[place]:.6g} in place of {after[place]:.6g}",
                 )
         return None
+
+
+def require_restored(
+    ensemble: Ensemble, stepper: Stepper[Any], state: Any, time: float, length: float
+) -> None:
+    """Make the first step of a run, from `time` on, twice: an FMU that does not restore its state
+    would go on from elsewhere, and no number would tell. Looked at once in a process for each FMU;
+    nothing of it counts.
+
+    Raises
+    ------
+    SlaveError
+        The second one ends elsewhere than the first, by more than a share of what that changed.
+    """
+    hashes = {member.description.sha256 for member in ensemble.system.members}
+    if hashes <= _RESTORED:
+        return
+    assert isinstance(stepper, AdaptiveStepper)
+    counts = ensemble.calls, stepper.iterations, [slave.log.warnings for slave in ensemble.slaves]
+    before, ends = ensemble.Y.copy(), []
+    ensemble.save()
+    try:
+        for _ in range(2):
+            stepper.attempt(state, time, time + length)
+            ends.append(ensemble.Y.copy())
+            ensemble.restore()
+            ensemble.Y[:] = before
+    except (RunEnded, StepDiscarded, SlaveTerminated):
+        ensemble.restore()  # the run will say what it is, or take a shorter step
+        ensemble.Y[:] = before
+    ensemble.forget_states()
+    ensemble.calls, stepper.iterations = counts[:2]
+    for slave, warnings in zip(ensemble.slaves, counts[2], strict=True):
+        slave.log.warnings = warnings
+    if len(ends) < 2:
+        return
+    first, again = ends
+    off, change = np.abs(again - first), np.abs(first - before)
+    wrong = off > np.maximum(REPEATED * change, ROUNDING * (1.0 + np.abs(first)))
+    if wrong.any():
+        place = int(wrong.argmax())
+        name, _, variable = ensemble.read_names[place].partition(".")
+        raise SlaveError(
+            name,
+            time,
+            "it declares states that can be saved and restored, but a step from a restored one "
+            f"ends with {variable} = {again[place]:.6g} in place of {first[place]:.6g}; coupling "
+            "'auto' does without",
+        )
+    _RESTORED.update(hashes)
+
+
+_RESTORED: set[str] = set()
+"""Hashes of the FMUs whose states were found to be restored."""

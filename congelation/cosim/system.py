@@ -246,8 +246,8 @@ def _check_names(names: Sequence[str]) -> None:
     if not names:
         raise InvalidInput("a system needs at least one component")
     for name in names:
-        if not name or re.search(r"[.\s]", name):
-            raise InvalidInput(f"component '{name}': a name without dots and blanks is needed")
+        if not name.isprintable() or not name or re.search(r"[.\s]", name):
+            raise InvalidInput(f"component {name!r}: a name without dots and blanks is needed")
         if names.count(name) > 1:
             raise InvalidInput(f"component '{name}' is given twice; names must differ")
 

@@ -82,6 +82,8 @@ class Find:
     struck, growth : float or None
         Of a late burst: when theta(t) strikes, in seconds, and the rate, in 1/s, at which the loop
         then grows with the estimates frozen; not positive where no burst was found.
+    initial : float
+        The size, at the start, of the signals that the objective is of.
     """
 
     variant: str
@@ -95,6 +97,7 @@ class Find:
     bound: Bound | None
     struck: float | None = None
     growth: float | None = None
+    initial: float = math.nan
 
     @property
     def violated(self) -> bool:
@@ -221,6 +224,7 @@ def judged(
         bound=bound,
         struck=trial.struck,
         growth=trial.growth,
+        initial=float(np.linalg.norm(values[0])),
     )
 
 

@@ -55,9 +55,15 @@ def _write(found: Attack, find: Find, folder: Path) -> Path:
         )
     title = f"{scenario.title}: worst found for {find.variant}, {find.objective} = {find.value:.6g}"
     table = scenario_table(scenario, system, profiles, folder, float(find.cells.edges[-1]), title)
+    # What was maximised, so that the run of the file shows it.
+    metrics = table.get("metrics", {})
+    of = {"of": f"{find.plant}.x"}
     if find.struck is not None:
-        spec = {"metric": "peak", "of": f"{find.plant}.x", "after": find.struck}
-        table["metrics"] = {**table.get("metrics", {}), LATE: spec}
+        table["metrics"] = metrics | {LATE: {"metric": "peak", **of, "after": find.struck}}
+    elif find.objective in ("peak", "ise"):
+        maximised = {"metric": find.objective, **of}
+        if find.objective not in metrics and maximised not in metrics.values():
+            table["metrics"] = metrics | {find.objective: maximised}
     file = folder / f"{stem}.toml"
     file.write_text(tomli_w.dumps(table), encoding="utf-8")
     return file

@@ -41,6 +41,9 @@ Floats = NDArray[np.float64]
 REACH = 2.0
 """Decades that a parameter may move from the spec's value, up or down."""
 
+STOP_TIME = 20.0
+"""End of the simulations, in seconds, where neither it nor a long settling time is asked for."""
+
 CERTIFY_SAMPLES = 1000
 
 SHARES = (0.4, 0.2, 0.2, 0.2)
@@ -83,8 +86,10 @@ class Tuning:
     Attributes
     ----------
     spec : Path
-    own : mapping
-        The objectives of the spec's own design.
+    own : Proposal
+        The spec's own design, which is a candidate, too.
+    stop_time : float
+        When the simulations ended, in seconds.
     wishes : mapping
     nearest : Proposal
         Comes nearest to the wishes: the least largest ratio of an objective to its wish.
@@ -96,7 +101,8 @@ class Tuning:
     """
 
     spec: Path
-    own: Mapping[str, float]
+    own: Proposal
+    stop_time: float
     wishes: Mapping[str, float]
     nearest: Proposal
     front: tuple[Proposal, ...]
@@ -112,12 +118,17 @@ class Tuning:
             if value <= wish:
                 continue
             alone = self.best[name] <= wish
-            why = (
-                "it can be met alone, not together with the others"
-                if alone
-                else f"not met by any candidate; the least was {self.best[name]:.4g}"
+            why = "it can be met alone, not together with the others"
+            if not alone and math.isinf(self.best[name]):
+                why = "no candidate does"
+            elif not alone:
+                why = f"not met by any candidate; the least was {self.best[name]:.4g}"
+            reached = (
+                f"has {value:.4g}"
+                if math.isfinite(value)
+                else f"has not settled by {self.stop_time:g} s"
             )
-            lines.append(f"{name} = {wish:.4g}: the nearest design has {value:.4g} ({why})")
+            lines.append(f"{name} = {wish:.4g}: the nearest design {reached} ({why})")
         return tuple(lines)
 
 
@@ -127,7 +138,7 @@ def tune(
     *,
     wishes: Mapping[str, float] | None = None,
     below: float = 1e-2,
-    stop_time: float = 20.0,
+    stop_time: float | None = None,
     evaluations: int = 600,
     seed: int = 0,
     proposals: int = 6,
@@ -147,10 +158,10 @@ def tune(
         (the largest ``|u|``); the spec's own settling and effort where left out.
     below : float
         What ``|x|`` has to stay below to count as settled, in the units of x.
-    stop_time : float
-        Seconds.
+    stop_time : float, optional
+        Seconds, later than the settling time that is wished; 20, or twice that where it is more.
     evaluations : int
-        Candidates to solve.
+        Candidates to solve, about.
     seed : int
         Equal seeds give equal candidates.
     proposals : int
@@ -177,11 +188,20 @@ def tune(
     """
     require_count(evaluations, "evaluations")
     require_count(workers, "workers")
+    settling = (wishes or {}).get("settling", 0.0)
+    if stop_time is None:
+        stop_time = max(STOP_TIME, 2.0 * settling)
     if not 0.0 < stop_time < math.inf:
         raise InvalidInput(f"stop_time = {stop_time} is not valid; give a positive time in seconds")
+    if settling >= stop_time:
+        raise InvalidInput(
+            f"wish settling = {settling:g}: the simulations end at {stop_time:g} s; give a stop "
+            "time after it"
+        )
     spec = Path(spec)
     evaluator = Evaluator(spec, below, stop_time)
-    own = evaluator.exact(np.zeros(evaluator.dimension))
+    as_it_is = _proposal(evaluator, np.zeros(evaluator.dimension))
+    own = tuple(as_it_is.objectives[name] for name in OBJECTIVES)
     # A design that does not settle is asked to do so by the stop time.
     asked = (min(own[0], stop_time), *own[1:])
     wanted = _wishes(wishes, asked)
@@ -191,8 +211,10 @@ def tune(
             if progress is not None:
                 progress(min(len(candidates.solved), evaluations), evaluations)
 
+        candidates.solve([(0.0,) * evaluator.dimension])
         for share, goal in zip(SHARES, _goals(wanted, asked), strict=True):
-            _descend(candidates, goal, int(share * evaluations), seed, count)
+            seed += 1
+            _descend(candidates, goal, math.ceil(share * evaluations), seed, count)
     points = [(np.array(v), o) for v, o in candidates.solved.items() if o is not None]
     if not points:
         raise InvalidInput(f"{spec}: no candidate could be solved for {stop_time:g} s")
@@ -205,11 +227,12 @@ def tune(
     )
     return Tuning(
         spec,
-        dict(zip(OBJECTIVES, own, strict=True)),
+        as_it_is,
+        stop_time,
         wanted,
         nearest,
         (nearest, *(p for p in certified if p is not nearest)),
-        dict(zip(OBJECTIVES, values.min(axis=0).tolist(), strict=True)),
+        dict(zip(OBJECTIVES, _least(values, stop_time), strict=True)),
         len(candidates.solved),
     )
 
@@ -244,7 +267,7 @@ def _descend(
     import cma  # here: the import takes half a second, which other commands need not wait for
 
     options = {
-        "seed": seed + 1,
+        "seed": seed,
         "verbose": -9,
         "bounds": [-REACH, REACH],
         "maxfevals": evaluations,
@@ -278,6 +301,12 @@ def _achievement(objectives: Sequence[float] | None, goal: Mapping[str, float]) 
     named = dict(zip(OBJECTIVES, objectives, strict=True))
     ratios = [math.log(max(named[name], 1e-12) / wish) for name, wish in goal.items()]
     return max(ratios) + 0.02 * sum(ratios)
+
+
+def _least(values: Floats, stop_time: float) -> list[float]:
+    """The least of each objective; infinite for a settling time that the search has extended."""
+    settling, *others = values.min(axis=0).tolist()
+    return [settling if settling <= stop_time else math.inf, *others]
 
 
 def _goals(wishes: Mapping[str, float], own: Sequence[float]) -> list[Mapping[str, float]]:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
 import importlib.metadata
-import json
 import re
 import sys
 import tempfile
@@ -20,6 +18,7 @@ from pythonfmu.builder import FmuBuilder, get_model_description
 
 from congelation.arguments import checked
 from congelation.errors import CongelationError, DesignWarning, InvalidInput
+from congelation.export import manifest
 from congelation.export.embedded_c import controller_code
 from congelation.export.model_description import complete
 from congelation.export.native_fmu import native_fmu
@@ -118,7 +117,8 @@ def build(
             warnings.warn(f"spec '{spec.name}': {line}", DesignWarning, stacklevel=2)
     paths: list[Path] = []
     try:
-        for spec in read:
+        for given, spec in zip(specs, read, strict=True):
+            source = None if isinstance(given, Spec | BlockSpec) else Path(given)
             for fmu in spec.fmus:
                 if c_code:
                     if fmu.role == "controller":
@@ -126,7 +126,7 @@ def build(
                     continue
                 for path in _build_fmu(fmu, spec, groups):
                     paths.append(path)
-                    _update_manifest(path.parent / "manifest.json", path, fmu, spec)
+                    manifest.enter(path, _entry(path, fmu, spec), source)
     except OSError as error:
         raise CongelationError(f"{folder}: an FMU cannot be written: {error}") from error
     return paths
@@ -277,31 +277,13 @@ def _tool() -> str:
     return f"congelation {own} with PythonFMU {theirs}"
 
 
-def _update_manifest(manifest: Path, path: Path, fmu: FmuSpec, spec: Spec | BlockSpec) -> None:
-    """Enter a built FMU in the manifest, in place of an older build of the same name."""
-    entries = _entries(manifest)
+def _entry(path: Path, fmu: FmuSpec, spec: Spec | BlockSpec) -> dict[str, object]:
+    """What the manifest says of a built FMU."""
     with zipfile.ZipFile(path) as archive:
         guid = ElementTree.fromstring(archive.read("modelDescription.xml")).get("guid")
-    entries[path.name] = {
-        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+    return {
         "guid": guid,
         "model": fmu.model.name,
         "spec": spec.name,
         "tools": {name: importlib.metadata.version(name) for name in _TOOLS},
     }
-    manifest.write_text(json.dumps(entries, indent=1, sort_keys=True) + "\n", "utf-8")
-
-
-def _entries(manifest: Path) -> dict[str, object]:
-    if not manifest.exists():
-        return {}
-    try:
-        entries = json.loads(manifest.read_text("utf-8"))
-    except ValueError:
-        entries = None
-    if not isinstance(entries, dict):
-        raise InvalidInput(
-            f"{manifest} was not written by `congelation build`; remove it, or build into "
-            "another folder"
-        )
-    return entries

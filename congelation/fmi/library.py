@@ -19,7 +19,7 @@ from fmpy.fmi2 import fmi2CallbackAllocateMemoryTYPE as AllocateMemory
 from fmpy.fmi2 import fmi2CallbackFreeMemoryTYPE as FreeMemory
 from fmpy.logging import addLoggerProxy
 
-from congelation.errors import InvalidInput
+from congelation.errors import InvalidInput, one_line
 from congelation.fmi.description import Description
 from congelation.fmi.unpack import unpack_archive
 
@@ -57,12 +57,7 @@ class Message:
     @property
     def line(self) -> str:
         """The text in one line, what a terminal would obey in it escaped."""
-        line = " ".join(self.text.split())
-        return line if line.isprintable() else "".join(map(_printable, line))
-
-
-def _printable(character: str) -> str:
-    return character if character.isprintable() else ascii(character)[1:-1]
+        return one_line(self.text)
 
 
 @dataclass

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
 __all__ = [
     "DASHES",
     "EVERY",
+    "NOT_PRINTED",
     "PICKED",
     "POINTS",
     "Curve",
@@ -53,6 +54,9 @@ DASHES: tuple[tuple[int, ...], ...] = ((), (8, 3), (2, 3), (10, 3, 2, 3), (5, 2)
 STEPS = "communication step"
 """Title of the panel of step sizes."""
 
+NOT_PRINTED = "@media print { :host { display: none !important; } }"
+"""Style of what paper has no use for, inside of Bokeh's own elements."""
+
 HEIGHT = 250  # pixels of a panel
 POINTS = 2000  # of a curve; a screen has no more columns
 _ERROR = re.compile(r"^error\((?P<of>.+)\)$")
@@ -64,6 +68,9 @@ _GREEK = {
 _FIRST = ("x", "y", "u", "theta", "theta_hat", "rho_hat", "z", "V")
 # The Lyapunov function and its bound are compared in one panel.
 _BOUND = re.compile(r"(?i)(^|\.)(V|V_bound|bound|V_max|bound\(V\))$")
+# What runs with a certificate record: V' under the worst theta, and what it may be.
+_RATES = {"certificate.rate": "V' at worst", "certificate.bound": "allowed"}
+RATES = "V' and what the certificate allows"
 
 
 @dataclass(frozen=True)
@@ -109,6 +116,8 @@ def panel_groups(columns: Sequence[str], extra: Sequence[str] = ()) -> dict[str,
         base = column.partition("[")[0]
         if _ERROR.match(column):
             title = "estimated error"
+        elif column in _RATES:
+            title = RATES
         elif _BOUND.search(base):
             title = "Lyapunov function V"
         else:
@@ -117,7 +126,7 @@ def panel_groups(columns: Sequence[str], extra: Sequence[str] = ()) -> dict[str,
 
     def place(title: str) -> tuple[int, int]:
         symbol = title.rpartition(".")[2]
-        late = title in ("estimated error", "Lyapunov function V")
+        late = title in ("estimated error", "Lyapunov function V", RATES)
         known = _FIRST.index(symbol) if symbol in _FIRST else len(_FIRST)
         return (2 if late else 0, known)
 
@@ -293,7 +302,7 @@ def draw_panels(
         mode, threshold = first_scale(
             [(curve.variant, curve.value) for curve in panel.curves],
             logarithmic=panel.title.startswith("|")
-            or panel.title[:4] in ("esti", "Lyap", STEPS[:4]),
+            or panel.title in ("estimated error", "Lyapunov function V", RATES, STEPS),
         )
         scales[panel.name] = {"mode": mode, "first": mode, "threshold": threshold}
     return pieces, scales
@@ -345,6 +354,7 @@ def empty_plot(name: str, **options: Any) -> figure:
         **options,
     )
     plot.toolbar.logo = None
+    plot.toolbar.stylesheets = [NOT_PRINTED]
     plot.y_range.only_visible = True
     plot.yaxis.ticker = CustomJSTicker(
         major_code=f"return congelation.ticks('{name}', cb_data.start, cb_data.end)"
@@ -368,15 +378,16 @@ def _numbers(panel: Panel, variants: Sequence[str]) -> Iterator[str]:
     """The table beside a plot, which is its legend, too."""
     about = escape(f"Numbers of {panel.title}")
     yield f'<div class="numbers" tabindex="0" role="region" aria-label="{about}"><table><thead><tr>'
-    for head in ("curve", "start", "least", "largest", "end", "cursor"):
+    for head in ("curve", "start", "least", "largest", "end"):
         yield f'<th scope="col">{head}</th>'
+    yield '<th scope="col" class="at">cursor</th>'
     yield "</tr></thead><tbody>"
     several = len({curve.unit for curve in panel.curves}) > 1
     for curve in panel.curves:
         who = _who(curve, variants)
         error = _ERROR.match(curve.label)
         plain = error["of"] if error else curve.label
-        name = pretty(plain.partition(".")[2] or plain)
+        name = _RATES.get(plain) or pretty(plain.partition(".")[2] or plain)
         name = f"|{name}" if curve.label.startswith("|") else name
         if several and plain_unit(curve.unit):
             name += f" [{plain_unit(curve.unit)}]"
@@ -387,7 +398,7 @@ def _numbers(panel: Panel, variants: Sequence[str]) -> Iterator[str]:
         yield (
             f'<tr data-variant="{" ".join(map(str, (curve.variant, *curve.others)))}">'
             f'<th scope="row">{label}</th>{cells}'
-            f'<td data-curve="{curve.name}">–</td></tr>'
+            f'<td class="at" data-curve="{curve.name}">–</td></tr>'
         )
     yield "</tbody></table></div>"
 

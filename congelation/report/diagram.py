@@ -33,7 +33,7 @@ def diagram(about: Mapping[str, Any]) -> Iterator[str]:
         wires.setdefault((source, target), []).append(f"{text} [{unit}]" if unit else text)
     lanes = max(len(wires) - 1, 1) * LANE
     widest = max(len(", ".join(texts)) for texts in wires.values())
-    side = max(MARGIN, 7 * widest) + lanes
+    side = max(MARGIN, 8 * widest) + 24 + lanes
     width, height = BOX + 2 * side, places[[*fmus][-1]] + HEIGHT + 2
     names = ", ".join(fmus)
     yield f'<div class="scroll" tabindex="0" role="region" aria-label="Diagram of {escape(names)}">'

@@ -40,14 +40,17 @@ def _page(folder: Path, directories: list[Path]) -> Iterator[str]:
         # Links are relative, so that the folder can be moved or sent as a whole.
         base = directory.relative_to(folder)
         report = directory / "report.html"
-        title = directory.name
+        title, said = directory.name, None
         if report.is_file():
-            head = re.search(r"<title>(.*?)</title>", report.read_text("utf-8"), re.DOTALL)
+            text = report.read_text("utf-8")
+            head = re.search(r"<title>(.*?)</title>", text, re.DOTALL)
             title = unescape(head[1]) if head else title
-        yield f"<h2>{escape(title)}</h2>\n<p>"
-        for name in ("report.html", "runs.parquet"):
+            # Its verdict is what there is to say of it.
+            said = re.search(r'<div class="verdict">(.*?)</div>', text, re.DOTALL)
+        yield f"<h2>{escape(title)}</h2>\n{said[1] if said else ''}<p>"
+        for name, shown in (("report.html", "Report"), ("runs.parquet", "runs.parquet, all rows")):
             if (directory / name).is_file():
-                yield f'<a href="{quote((base / name).as_posix())}">{name}</a>'
+                yield f'<a href="{quote((base / name).as_posix())}">{shown}</a> '
         yield '</p><p class="thumbs">'
         for figure in sorted((directory / "figures").glob("*.png")):
             link = quote((base / "figures" / figure.name).as_posix())

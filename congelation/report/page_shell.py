@@ -139,7 +139,7 @@ def table(
     kind = ' class="text"' if text else ""
     about = escape(caption or "table")
     yield f'<div class="scroll" tabindex="0" role="region" aria-label="{about}">'
-    yield f"<table>{f'<caption>{escape(caption)}</caption>' if caption else ''}"
+    yield f"<table{kind}>{f'<caption>{escape(caption)}</caption>' if caption else ''}"
     heads = "".join(f'<th scope="col"{kind}>{escape(column)}</th>' for column in columns)
     yield f"<thead><tr><td></td>{heads}</tr></thead><tbody>"
     for label, cells in lines:
@@ -150,7 +150,7 @@ def table(
 
 def pairs(entries: Iterable[tuple[str, str]]) -> Iterator[str]:
     """A table of names and what they are."""
-    yield "<table>"
+    yield '<table class="pairs">'
     for name, value in entries:
         yield f'<tr><th scope="row">{escape(name)}</th><td class="text">{escape(value)}</td></tr>'
     yield "</table>"

@@ -66,13 +66,19 @@ window.congelation = (() => {
   }
   function ticks(name, start, end) {
     const scale = scales[name];
-    if (scale.names) return scale.names.map((_, k) => k);
+    if (scale.names) {  // of many names every second one, or third.., so that they do not touch
+      const every = name.endsWith(".x") ? Math.ceil(scale.names.join("").length / 45) : 1;
+      return scale.names.map((_, k) => k).filter((k) => k % every === 0);
+    }
     const top = scale.ceiling === undefined ? end : Math.min(end, scale.ceiling - 1e-9);
     let found;
     if (scale.mode === "linear") found = even(start, top, 5);
     else {
       const low = unplace(scale, start), high = unplace(scale, top);
       found = decades(scale, low, high);
+      if (scale.mode === "log" && found.length < 3)  // 1, 2, 5, 10, 20, ..
+        for (let k = Math.floor(Math.log10(low)); 10 ** k <= high; k++)
+          found.push(...[2, 5].map((m) => m * 10 ** k).filter((v) => v >= low && v <= high));
       if (found.length < 2) found = even(low, high, 4);
       found = found.map((v) => place(scale, v)).sort((a, b) => a - b);
       const apart = (end - start) / 9;  // labels closer than that would touch

@@ -135,6 +135,8 @@ def _head(study: Study, verdict: Iterator[str]) -> Iterator[str]:
     for run in study.records[: 0 if study.about["swept"] else None]:
         if run.failed:
             yield f'<p class="failed">{escape(run.variant)}: {escape(run.message)}</p>'
+        elif run.remark:
+            yield f'<p class="note">{escape(run.variant)}: {escape(run.remark)}</p>'
 
 
 def _tiles(study: Study, peaks: dict[str, float]) -> Iterator[str]:

@@ -46,7 +46,7 @@ congelation.study = (() => {
 
   function drawMetric() {
     const axis = chosen("metric-axis"), metric = chosen("metric-metric");
-    const band = Number(chosen("metric-band"));
+    const band = Number(chosen("metric-band")), timed = study.settling.includes(metric);
     const xs = columns[axis], ys = columns[metric];
     const usable = kept.filter((k) => isNumber(ys[k]) && xs[k] !== null);
     const x = scales["metric.x"] = axisScale(usable.map((k) => xs[k]), axis);
@@ -79,9 +79,8 @@ congelation.study = (() => {
         line.x.push(key);
         ["low", "median", "high"].forEach((part, i) => line[part].push(place(y, three[i])));
         const failed = sorted.filter((s) => s === Infinity).length;
-        lines.push([variant, congelation.tick("metric.x", key), String(sorted.length),
-          ...three.map((t) => text(metric, t)),
-          study.settling.includes(metric) ? `${sorted.length - failed} of ${sorted.length}` : "–"]);
+        lines.push([variant, congelation.tick("metric.x", key), ...three.map((s) => text(metric, s)),
+          timed ? `${sorted.length - failed} of ${sorted.length}` : String(sorted.length)]);
       }
       model(`metric.line.${v}`).data = line;
       model(`metric.points.${v}`).data = points(runs, axis, metric, x, y);
@@ -89,10 +88,10 @@ congelation.study = (() => {
     const seen = usable.filter((k) => shown.has(study.variant[k]));
     frame("metric", seen.map((k) => put(x, xs[k])), seen.map((k) => place(y, ys[k])));
     axes("metric", axis, metric);
-    const single = lines.every((line) => line[2] === "1");  // quantiles of one run are its value
+    const single = lines.every((line) => /^(1|[01] of 1)$/.test(line[5]));  // of one run each
     fill("metric-numbers", ["variant", name(axis),
-      ...(single ? [name(metric)] : ["runs", "low", "median", "high", "settled"])],
-      single ? lines.map((line) => [line[0], line[1], line[4]]) : lines);
+      ...(single ? [name(metric)] : ["low", "median", "high", timed ? "settled" : "runs"])],
+      single ? lines.map((line) => [line[0], line[1], line[3]]) : lines);
   }
   function points(runs, a, b, x, y) {
     return {x: runs.map((k) => put(x, columns[a][k])), y: runs.map((k) => put(y, columns[b][k])),
@@ -125,7 +124,7 @@ congelation.study = (() => {
         isNumber(p) && isNumber(q) ? p - q : String(p) < String(q) ? -1 : 1);
       if (found.length <= 40) return {names: found.map((f) => number(f)), of: (f) => found.indexOf(f)};
       const low = found[0], width = (found[found.length - 1] - low) / 20;  // a random axis: 20 parts
-      return {names: Array.from({length: 20}, (_, i) => number(low + (i + 0.5) * width)),
+      return {names: Array.from({length: 20}, (_, i) => number(Number((low + (i + 0.5) * width).toPrecision(3)))),
         of: (f) => Math.min(19, Math.floor((f - low) / width))};
     };
     const x = steps(a), y = steps(b);

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from congelation.errors import counted
 from congelation.report.axes import FEW, axes_of, short_names, unit_of
-from congelation.report.curves import PICKED, Curve, Panel, curve_panels, draw_panels
+from congelation.report.curves import NOT_PRINTED, PICKED, Curve, Panel, curve_panels, draw_panels
 from congelation.report.page_shell import Drawn, swatch, table
 from congelation.report.summary import NOT_SETTLED, label_of, number, summarise
 from congelation.report.verdict import settled
@@ -61,7 +61,7 @@ def study_content(
     if len(metrics) > 1:
         pieces += _pareto_section(metrics, variants, study)
     kept = [run for run in runs if results.store.trajectory_file(run.run_id).is_file()]
-    columns = ["run", "variant", *axes, "status", *metrics]
+    columns = ["variant", *axes, *metrics, "status", "run"]
     pieces += _table_section(columns, study, runs, axes)
     embedded = _embedded(results, kept)
     panels, held = _picked_panels(embedded)
@@ -287,7 +287,7 @@ def _metric_section(
     timed = (n for n in metrics if study.about["metrics"][n]["metric"] == "settling_time")
     selects = [
         _select("metric-metric", "Metric", named, next(timed, metrics[0])),
-        _select("metric-axis", "against", _axis_labels(study, axes)),
+        _select("metric-axis", "against", _axis_labels(study, axes), _fullest(axes)[0]),
         _select("metric-band", "Band", {"0.9": "5 % to 95 %", "0.5": "25 % to 75 %", "1": "all"}),
         _select(
             "metric-scale",
@@ -303,6 +303,11 @@ def _metric_section(
         "Lines are medians of each variant, bands its quantiles over all other settings, points "
         "are runs.",
     )
+
+
+def _fullest(axes: Mapping[str, Sequence[Any]]) -> list[str]:
+    """Axes, those with most values first: of these the most is to be seen."""
+    return sorted(axes, key=lambda name: -len(axes[name]))
 
 
 def _map_section(
@@ -325,7 +330,7 @@ def _map_section(
     )  # fmt: skip
     plot.grid.visible = False
     plot.add_tools(HoverTool(tooltips=[("", "@a"), ("", "@b")], limit=1))
-    first, second = [*axes][:2]
+    first, second = _fullest(axes)[:2]
     named = _labels(study)
     timed = (n for n in metrics if study.about["metrics"][n]["metric"] == "settling_time")
     last = str(len(variants) - 1)
@@ -339,8 +344,8 @@ def _map_section(
         "Heat map of two settings",
         Drawn(plot, "A metric over two settings; the table beside it has its numbers"),
         selects,
-        "Medians over all other settings, of one variant; bright is large; "
-        "hatched cells have no finite median.",
+        "Medians over all other settings, of one variant; bright is large, "
+        "hatched infinite, and a cell without a run is empty.",
     )
 
 
@@ -416,6 +421,7 @@ def _plot(name: str) -> figure:
         y_range=Range1d(0.0, 1.0),
     )
     plot.toolbar.logo = None
+    plot.toolbar.stylesheets = [NOT_PRINTED]
     for axis, of in ((plot.xaxis, f"{name}.x"), (plot.yaxis, f"{name}.y")):
         code = f"return congelation.ticks('{of}', cb_data.start, cb_data.end)"
         axis.ticker = CustomJSTicker(major_code=code)
@@ -442,7 +448,7 @@ def _table_section(
     statuses = {"": "all", **{s: s for s in dict.fromkeys(run.status for run in runs)}}
     yield '<h2>Runs</h2><div class="controls">'
     yield (
-        '<label>Filter <input id="filter-text" type="search" '
+        '<label>Filter <input id="filter-text" type="search" size="28" '
         f'placeholder="{escape(example)}"></label>'
     )
     yield _select("filter-status", "Status", statuses)
@@ -461,7 +467,9 @@ def _table_section(
         kind = ' class="text"' if column in ("run", "variant", "status") else ""
         yield (
             f'<th scope="col"{kind} data-column="{escape(column)}" title="{escape(column)}">'
-            f'<button type="button">{escape(names[column])}<span></span></button></th>'
+            # A name may be broken after its dots: sine.amplitude.
+            f'<button type="button">{escape(names[column]).replace(".", ".<wbr>")}<span></span>'
+            "</button></th>"
         )
     yield "</tr></thead><tbody></tbody></table></div>"
 

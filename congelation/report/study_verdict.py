@@ -18,6 +18,7 @@ from congelation.report.verdict import (
     multiple,
     peak_of_u,
     settled,
+    violates,
 )
 from congelation.results.record import RunRecord, Study
 
@@ -69,6 +70,13 @@ def study_verdict(study: Study) -> Iterator[str]:
     if len(variants) > LISTED:
         yield from _extremes(study, variants)
     yield from _price_of_study(study, variants)
+    broken = {
+        variant: f"{found} of {len(runs)} runs of {variant}"
+        for variant, runs in variants.items()
+        if (found := sum(violates(study, run) for run in runs))
+    }
+    if broken:
+        yield f"The Lyapunov certificate is violated in {listed([*broken.values()])}."
 
 
 def _times(

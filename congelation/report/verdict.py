@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 from congelation.report.summary import NOT_SETTLED, metric_value, number
+from congelation.results.labels import plain_unit
 from congelation.results.record import RunRecord, Study
 
 __all__ = [
@@ -21,6 +23,7 @@ __all__ = [
     "settled",
     "settling_rule",
     "tiles",
+    "violates",
 ]
 
 LISTED = 4
@@ -28,6 +31,9 @@ LISTED = 4
 
 DEAR = 1.05
 """A peak of |u| that is larger than the least by less than 5 % is no price."""
+
+ROUNDING = 1e-9
+"""A margin of the certificate up to this is rounding (`congelation.scenario.metrics`)."""
 
 _STOP_TIME = "experiment.stop_time"
 """The stop time as a setting that varies in a study."""
@@ -79,9 +85,9 @@ def run_verdict(study: Study, peaks: Mapping[str, float]) -> Iterator[str]:
         said.append(f"{listed(variants)} {one if len(variants) == 1 else several}")
     yield f"{'; '.join(said)}." if said else "No run has finished yet."
     yield from _price(prices(study, study.records, peaks))
-    margins = [run for run in study.records if (_margin(study, run) or -1.0) > 0.0]
-    if margins:
-        yield f"The Lyapunov certificate is violated for {listed([r.variant for r in margins])}."
+    broken = [run.variant for run in study.records if violates(study, run)]
+    if broken:
+        yield f"The Lyapunov certificate is violated for {listed(broken)}."
 
 
 def _price(priced: Mapping[str, float]) -> Iterator[str]:
@@ -118,7 +124,7 @@ def tiles(study: Study, peaks: Mapping[str, float]) -> Iterator[tuple[str, list[
             lines.append(("settled", f"after {said} s" if known else said))
         peak = peak_of_u(study, run, peaks)
         if peak is not None:
-            lines.append(("peak |u|", number(peak)))
+            lines.append(("peak |u|", f"{number(peak)} {_unit_of_u(study)}".rstrip()))
         if run.variant in priced:
             lines.append(("price: peak |u| / least", f"{multiple(priced[run.variant])} ×"))
         margin = _margin(study, run)
@@ -126,7 +132,7 @@ def tiles(study: Study, peaks: Mapping[str, float]) -> Iterator[tuple[str, list[
             lines.append(("worst margin, above 0 fails", number(margin)))
         error = run.trust_error if run.trust_error is not None else run.estimated_error
         if error is not None:
-            lines.append(("estimated error", f"{error:.1e}"))
+            lines.append(("estimated error, relative", f"{error:.1e}"))
         if run.coupling_why:
             lines.append(("coupling", f"{run.coupling} (auto)"))
         if run.trust_verdict:
@@ -196,9 +202,25 @@ def metric_of_kind(study: Study, kind: str) -> str | None:
 def peak_of_u(study: Study, run: RunRecord, peaks: Mapping[str, float]) -> float | None:
     """The peak of \\|u\\|: the metric, or of the recorded trajectory."""
     for name, about in study.about["metrics"].items():
-        if about["metric"] == "peak" and about["of"].rpartition(".")[2] == "u":
+        if _is_peak_of_u(about):
             return run.metrics.get(name)
     return peaks.get(run.run_id)
+
+
+def _unit_of_u(study: Study) -> str:
+    """The unit of the metric that is the peak of \\|u\\|; empty where there is none."""
+    found = (m for m in study.about["metrics"].values() if _is_peak_of_u(m))
+    return plain_unit(next(found, {"unit": ""})["unit"])
+
+
+def _is_peak_of_u(about: Mapping[str, Any]) -> bool:
+    return bool(about["metric"] == "peak" and about["of"].rpartition(".")[2] == "u")
+
+
+def violates(study: Study, run: RunRecord) -> bool:
+    """Whether V' of a run exceeded what its certificate allows by more than rounding."""
+    margin = _margin(study, run)
+    return margin is not None and margin > ROUNDING
 
 
 def _margin(study: Study, run: RunRecord) -> float | None:

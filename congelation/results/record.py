@@ -93,6 +93,13 @@ class Outcome:
     trust_line: str | None = None
 
     @property
+    def remark(self) -> str:
+        """What there is to say of a run that reached its stop time; empty if nothing is."""
+        if self.status != Status.COMPLETED.name:
+            return ""
+        return self.message.removeprefix(Status.COMPLETED.value).strip()
+
+    @property
     def failed(self) -> bool:
         """Whether the run ended otherwise than at its stop time or by an FMU's own end."""
         return self.status not in (Status.COMPLETED.name, Status.TERMINATED.name)

@@ -42,6 +42,7 @@ def doubts(
     settings = list(_settings(resolved, variants, sweep))
     yield from dict.fromkeys(_out_of_range(settings))
     yield from dict.fromkeys(_too_fast(settings, experiment, given))
+    yield from dict.fromkeys(_of_no_term(settings))
     yield from _mixed(resolved, metrics)
     yield from _past_the_end(metrics, experiment, given)
     yield from _forgotten(resolved, {*given, *served})
@@ -109,8 +110,27 @@ class _Setting(NamedTuple):
     source: str
 
     @property
+    def is_start(self) -> bool:
+        """Whether it is a start value of the component itself, which gives every term."""
+        return self.source.startswith("component ")
+
+    @property
     def column(self) -> str:
+        """The variable with its component."""
         return f"{self.member.name}.{self.name}"
+
+    @property
+    def turns(self) -> Callable[[float], float] | None:
+        """Of the number of a profile that says how often it turns: how many times in a second."""
+        term, _, number = self.name.rpartition(".")
+        kind = re.sub(r"^.*\.|\[\d+\]$", "", term)
+        return _TURNS.get(f"{kind}.{number}")
+
+    @property
+    def size(self) -> str:
+        """The variable with the amplitude of the same term."""
+        term = self.column.rpartition(".")[0]
+        return f"{term}.deviation" if ".noise[" in term else f"{term}.amplitude"
 
 
 def _settings(
@@ -138,6 +158,17 @@ def _settings(
             owner, _, name = setting.partition(".")
             if owner in members and not isinstance(value, bool | str):
                 yield _Setting(members[owner], name, value, source)
+
+
+def _of_no_term(settings: Collection[_Setting]) -> Iterator[str]:
+    """A line for each number of a term that no profile has: nothing gives it an amplitude."""
+    sizes = {item.column for item in settings if item.value}
+    for item in settings:
+        if not item.is_start and item.turns is not None and item.size not in sizes:
+            yield (
+                f"{item.source}: '{item.column}' has no effect, as the profile has no such term: "
+                f"'{item.size}' is 0"
+            )
 
 
 def _out_of_range(settings: Iterable[_Setting]) -> Iterator[str]:
@@ -175,12 +206,9 @@ def _too_fast(
     horizon = experiment.stop_time - experiment.start_time
     sizes = {item.column for item in settings if item.value}
     for item in settings:
-        term, _, number = item.name.rpartition(".")
-        kind = re.sub(r"^.*\.|\[\d+\]$", "", term)
-        size = "deviation" if kind == "noise" else "amplitude"
-        if f"{kind}.{number}" not in _TURNS or f"{item.member.name}.{term}.{size}" not in sizes:
+        if item.turns is None or item.size not in sizes:
             continue
-        times = horizon * _TURNS[f"{kind}.{number}"](item.value)
+        times = horizon * item.turns(item.value)
         if times > MOST_PERIODS:
             yield (
                 f"{item.source}: '{item.column}' = {item.value:g} makes {times:.2g} periods or "

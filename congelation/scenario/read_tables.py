@@ -12,6 +12,7 @@ from typing import Any
 from congelation import keys
 from congelation.cosim.system import Component, Connection, Recorded, ResolvedSystem, System
 from congelation.errors import InvalidInput, nearest
+from congelation.export.manifest import outdated
 from congelation.fmi.description import describe
 from congelation.scenario.doubts import doubts
 from congelation.scenario.metrics import Metric, metric
@@ -38,6 +39,8 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
     `stem` names the variant of a scenario that has none.
     """
     top = document.read(keys.SCENARIO)
+    if not top["title"].isprintable():
+        raise document.wrong("title", "characters that can be shown, in one line")
     components = tuple(_component(s, name) for name, s in top["components"].subsections())
     connections = tuple(
         document.attempt("connections", partial(Connection.parse, connection))
@@ -69,7 +72,15 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
     given = {f"{c.name}.{name}" for c in components for name in c.start}
     given |= {name for variant in variants for name in variant.settings}
     given |= set(sweep.names()) if sweep is not None else set()
+    varied = [name for variant in variants for name in variant.settings]
+    _refuse_twins(document, "metrics", (spec.name for spec in metrics))
+    _refuse_twins(
+        document,
+        "sweep" if sweep else "variants",
+        (*varied, *(sweep.names() if sweep is not None else ())),
+    )
     left_open = document.attempt("open", partial(_open, resolved, reader.driven, top["open"]))
+    described = [member.description for member in resolved.members]
     return {
         "title": top["title"],
         "system": system,
@@ -82,11 +93,32 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
         "measured": measured,
         "warnings": tuple(
             f"{document.file}: {doubt}"
-            for doubt in doubts(
-                resolved, experiment, metrics, variants, sweep, given, {*left_open, *reader.driven}
+            for doubt in (
+                *doubts(
+                    resolved,
+                    experiment,
+                    metrics,
+                    variants,
+                    sweep,
+                    given,
+                    {*left_open, *reader.driven},
+                ),
+                *filter(None, dict.fromkeys(outdated(d.path, d.sha256) for d in described)),
             )
         ),
     }
+
+
+def _refuse_twins(document: Section, key: str, names: Iterable[str]) -> None:
+    """Raise InvalidInput where two names differ by case alone: SQLite takes them for one column."""
+    known: dict[str, str] = {}
+    for name in names:
+        if (other := known.setdefault(name.lower(), name)) != name:
+            raise document.error(
+                key,
+                f"name '{other}' and '{name}', which differ by case alone; result files "
+                "cannot keep them apart",
+            )
 
 
 def _component(section: Section, name: str) -> Component:
@@ -142,7 +174,7 @@ def _experiment(section: Section) -> Experiment:
 
 
 def _metric(section: Section, name: str, resolved: ResolvedSystem) -> MetricSpec:
-    if "." in name or not name.strip():
+    if "." in name or not name.strip() or not name.isprintable():
         raise section.within(f"choose a name other than '{name}'")
     read = section.read(keys.METRIC)
     found = section.attempt("metric", partial(metric, read["metric"]))
@@ -211,6 +243,8 @@ def _variants(sections: Iterable[Section], reader: SettingsReader) -> tuple[Vari
     for section in sections:
         read = section.read(keys.VARIANT)
         name = read["name"]
+        if not name.isprintable():
+            raise section.wrong("name", "characters that can be shown, in one line")
         if any(name == other.name for other in variants):
             raise section.error("name", f"= '{name}' is given twice; names must differ")
         variants.append(Variant(name, reader.read(read["set"])))

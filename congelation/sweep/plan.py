@@ -163,12 +163,14 @@ def plan_study(
         raise InvalidInput(f"timeout = {timeout} is not valid; give a positive number of seconds")
     if swept and scenario.sweep is None:
         raise InvalidInput(f"{scenario.place}: no [sweep]; give its axes, or use: congelation run")
+    # Before the directory is made or written to.
     store = Store(folder)
     _refuse_other_runs(store, scenario, swept, resume)
     scenario = _complete(scenario)
     identity = _Identity(scenario)
     if write:
         store.create()
+    # What is finished. The runs are enumerated unless the store knows the plan.
     found = store.plan(
         identity.plan(swept),
         (
@@ -182,6 +184,8 @@ def plan_study(
         raise InvalidInput(f"{scenario.place}: sweep.constraints leave no point")
     sweep = _sweep(scenario)
     axes = sweep.together() if swept else ()
+    # The study: what its runs have in common, and how to read them. Other versions of packages
+    # that only add to the provenance do not make it another study.
     described = {**about(scenario, varied_settings(scenario, swept), axes), "swept": swept}
     study = content_hash(
         [identity.plan(swept), {key: v for key, v in described.items() if key != "versions"}]
@@ -201,6 +205,7 @@ def plan_study(
     )
     if write:
         store.begin(study, {**described, "planned": found.total})
+    # Each record holds all settings that differ between runs, also those that its own run leaves.
     case = scenario.case({})
     base = {name: _setting(case, name) for name in varied_settings(scenario, swept)}
     return Plan(

@@ -54,8 +54,9 @@ def plain_fmu(folder: Path, *, declares: bool = False, source: str | Path = "pla
 
 def truck_fmu(folder: Path) -> Path:
     """One part of a quarter truck, which holds its input and solves itself to a tolerance."""
-    causalities = {"in": "input", **dict.fromkeys(("force", "position", "velocity"), "output")}
-    outputs = "".join(f'<Unknown index="{k}"/>' for k in (2, 3, 4))
+    names = ("force", "position", "velocity", "acceleration")
+    causalities = {"in": "input", **dict.fromkeys(names, "output")}
+    outputs = "".join(f'<Unknown index="{k}"/>' for k in (2, 3, 4, 5))
     described = _described("truck", (*causalities, "part"), causalities, outputs)
     return compile_fmu(folder / "truck.fmu", "truck.c", described)
 

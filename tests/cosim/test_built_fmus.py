@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from congelation.cosim import Output, SlavePool, compiled, simulate, stepping
+from congelation.cosim import Output, SlavePool, adaptive_step, compiled, simulate
 from congelation.cosim.step_control import StepSize
 from congelation.scenario.load import load_scenario
 from congelation.verify.reference import reference
@@ -128,7 +128,7 @@ def test_rejected_steps_leave_no_trace(pool, monkeypatch):
         "pool": pool,
     }
     plain = simulate(case.system, **kwargs)
-    tried, refused = stepping._tried, StepSize.refused
+    tried, refused = adaptive_step.attempted, StepSize.refused
     good, forced_error = [], 2.0**1000
 
     def sometimes_refused(*arguments):
@@ -145,7 +145,7 @@ def test_rejected_steps_leave_no_trace(pool, monkeypatch):
     monkeypatch.setattr(
         compiled.library, "loaded", lambda: None
     )  # what is patched is the Python loop
-    monkeypatch.setattr(stepping, "_tried", sometimes_refused)
+    monkeypatch.setattr(adaptive_step, "attempted", sometimes_refused)
     monkeypatch.setattr(StepSize, "refused", same_again)
     forced = simulate(case.system, **kwargs)
     count = len(good) // 4

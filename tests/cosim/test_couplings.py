@@ -188,14 +188,14 @@ def test_iterations_that_do_not_converge_name_the_connection(loop):
 @pytest.mark.parametrize("coupling", ["hermite", "derivative"])
 def test_a_rejected_step_leaves_no_trace(loop, coupling, monkeypatch):
     """Every third attempt is refused once, and then tried again at the same length."""
-    from congelation.cosim import stepping
+    from congelation.cosim import adaptive_step
     from congelation.cosim.step_control import StepSize
 
     kwargs = {"stop_time": 2.0, "tolerance": 1e-4, "coupling": coupling}
     plain = simulate(loop({"a": 1.0}), **kwargs)
     assert plain.statistics.rejected == 0
 
-    tried, count = stepping._tried, {"attempts": 0, "forced": 0}
+    tried, count = adaptive_step.attempted, {"attempts": 0, "forced": 0}
 
     def sometimes_refused(*arguments):
         trial, error = tried(*arguments)
@@ -208,7 +208,7 @@ def test_a_rejected_step_leaves_no_trace(loop, coupling, monkeypatch):
     monkeypatch.setattr(
         compiled.library, "loaded", lambda: None
     )  # what is patched is the Python loop
-    monkeypatch.setattr(stepping, "_tried", sometimes_refused)
+    monkeypatch.setattr(adaptive_step, "attempted", sometimes_refused)
     monkeypatch.setattr(StepSize, "refused", lambda self, error, length, order: self)
     forced = simulate(loop({"a": 1.0}), **kwargs)
     assert forced.statistics.rejected == count["forced"] > 3

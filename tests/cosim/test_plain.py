@@ -153,13 +153,21 @@ def test_a_stiff_pair_that_solves_itself_takes_few_steps(tmp_path, coupling, tol
     parts = (Component("chassis", fmu), Component("wheel", fmu, {"part": 1.0}))
     links = ("chassis.velocity -> wheel.in", "wheel.force -> chassis.in")
     system = System(parts, tuple(map(Connection.parse, links)))
-    names = ["chassis.position", "chassis.velocity", "wheel.position", "wheel.velocity"]
-    result = simulate(system, stop_time=1.0, record=names, coupling=coupling, tolerance=tolerance)
-    exact = solve_ivp(
+    recorded = [
+        f"{part}.{name}" for part in ("chassis", "wheel") for name in ("position", "velocity")
+    ]
+    recorded += ["chassis.acceleration", "wheel.acceleration"]
+    result = simulate(
+        system, stop_time=1.0, record=recorded, coupling=coupling, tolerance=tolerance
+    )
+    z = solve_ivp(
         quarter_truck, (0.0, 1.0), np.zeros(4), "DOP853", result.time, rtol=1e-10, atol=1e-12
-    ).y.T
-    errors = np.abs(result.values - exact).max(axis=0) / np.abs(exact).max(axis=0)
-    assert errors.max() < 10.0 * tolerance
+    ).y
+    rates = quarter_truck(result.time, z)
+    exact = np.column_stack([*z, rates[1], rates[3]])
+    errors = np.abs(result.values - exact)[1:].max(axis=0) / np.abs(exact).max(axis=0)
+    # Inputs that are predicted show nothing of an output that is late by an inner step.
+    assert errors[: 4 if coupling == "auto" else 6].max() < 10.0 * tolerance
     assert tolerance < 1e-3 or result.statistics.macro_steps <= 2000
 
 

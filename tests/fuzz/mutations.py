@@ -161,6 +161,12 @@ KEYS = (
         r"sweep\.axes\[1\]\.set is empty; name the settings of the axis",
     ),
     Mutation(
+        "metrics that differ by case",
+        _to("[metrics]", lambda r: '[metrics]\nPeak_X = {metric = "peak", of = "plant.u"}'),
+        2,
+        r"metrics name 'Peak_X' and 'peak_x', which differ by case alone",
+    ),
+    Mutation(
         "unit of a metric's option",
         _to("below = 0.1", lambda r: f'below = {{value = {r.uniform(0.1, 1)!r}, unit = "kg"}}'),
         2,

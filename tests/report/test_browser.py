@@ -181,6 +181,25 @@ def test_nothing_of_a_study_is_cut(browser: Browser, study_page: Path, width: in
         keep(page, f"study-{width}")
 
 
+def test_paper_has_all_of_a_study(browser: Browser, study_page: Path) -> None:
+    """On A4 no table is wider than the paper, and the tools and cursors of plots are left out."""
+    with opened(browser, study_page, 718) as page:
+        page.emulate_media(media="print")
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth")
+        tables = """[...document.querySelectorAll("table")].filter((t) =>
+            t.getBoundingClientRect().right > innerWidth).map((t) => t.innerText.slice(0, 60))"""
+        assert page.evaluate(tables) == []
+        tools = """(() => {
+          const under = (root) => [...root.querySelectorAll("*")].flatMap((e) =>
+            [e, ...(e.shadowRoot ? under(e.shadowRoot) : [])]);
+          return under(document).filter((e) => e.matches(".bk-Toolbar, .at")
+            && e.getBoundingClientRect().width > 0).length;
+        })()"""
+        assert page.evaluate(tools) == 0
+        page.emulate_media(media="screen")
+        assert page.evaluate(tools) > 0
+
+
 def test_selectors_change_the_plot_of_a_study(browser: Browser, study_page: Path) -> None:
     """Medians of Controller 1: settling times 1 and 2, peaks of u 50 and 100."""
     medians = "[...congelation.model('metric.line.0').data.median]"

@@ -21,11 +21,15 @@ def test_vectors_bounds_and_errors_share_panels() -> None:
         "controller.V_bound",
         "error(plant.x[1])",
         "error(controller.u)",
+        "certificate.V",
+        "certificate.rate",
+        "certificate.bound",
     )
     assert panel_groups(columns, ("|plant.x|", "|plant.y|")) == {
         "plant.x": ("plant.x[1]", "plant.x[2]"),
         "controller.theta_hat": ("controller.theta_hat[1]",),
-        "Lyapunov function V": ("controller.V", "controller.V_bound"),
+        "Lyapunov function V": ("controller.V", "controller.V_bound", "certificate.V"),
+        "V' and what the certificate allows": ("certificate.rate", "certificate.bound"),
         "estimated error": ("error(plant.x[1])", "error(controller.u)"),
         "|plant.x|": ("plant.x[1]", "plant.x[2]"),
     }

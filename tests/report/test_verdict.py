@@ -10,7 +10,7 @@ import numpy as np
 
 from congelation.report.axes import axes_of, short_names
 from congelation.report.study_verdict import study_verdict
-from congelation.report.verdict import run_verdict, settling_rule
+from congelation.report.verdict import reading_aids, run_verdict, settling_rule
 from congelation.results.record import RunRecord, Study
 from congelation.scenario.load import load_scenario
 from congelation.sweep.plan import plan_study
@@ -63,6 +63,21 @@ def swept(outcomes: Mapping[str, Sequence[tuple[float, float]]]) -> Study:
         for k, (time, peak) in enumerate(found)
     ]
     return study(runs, varied=[OMEGA], axes=[[OMEGA]], units={OMEGA: "rad/s"})
+
+
+def test_a_certificate_that_is_violated_is_counted_rounding_is_not() -> None:
+    margins = {"A": [-0.1, 0.0, 5e-10], "B": [0.2, -0.1, 2e-9]}
+    runs = [
+        record(f"{name}{k}", k, variant=name, metrics={"margin": margin})
+        for name, found in margins.items()
+        for k, margin in enumerate(found)
+    ]
+    about = {"margin": {"metric": "lyapunov", "of": "the closed loop", "unit": ""}}
+    said = "The Lyapunov certificate is violated"
+    assert list(study_verdict(study(runs, metrics=about)))[-1] == f"{said} in 2 of 3 runs of B."
+    once = [run for run in runs if run.number == 2]
+    assert list(run_verdict(study(once, metrics=about), {}))[-1] == f"{said} for B."
+    assert "margin: by how much V'" in list(reading_aids(study(once, metrics=about)))[-1]
 
 
 def test_a_study_tells_what_is_dear_what_is_cheap_and_what_costs_the_same() -> None:

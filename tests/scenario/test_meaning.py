@@ -318,3 +318,38 @@ def test_an_axis_that_leaves_the_range_of_a_variable_is_named(tmp_path: Path) ->
         file = write(tmp_path, SCALAR, change, ("[[figures]]", text))
         (warning,) = load_scenario(file).warnings
         assert warning == f"{file}: sweep: {axes[1]}"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            '"A short loop"',
+            '"A short\\nloop"',
+            "title = 'A short loop' is not valid; give characters that",
+        ),
+        ('"Controller 1"', '"\\u001b[31mred"', "variants[1].name = '"),
+        ("peak_x = {", '"a\\u0007" = {', "choose a name other than 'a"),
+    ],
+)
+def test_names_that_a_terminal_would_obey_are_refused(
+    tmp_path: Path, old: str, new: str, message: str
+) -> None:
+    with pytest.raises(InvalidInput) as told:
+        load_scenario(write(tmp_path, SCALAR, (old, new)))
+    assert message in str(told.value)
+
+
+@pytest.mark.parametrize("source", ["variant 'Controller 1'", "sweep"])
+def test_a_number_of_a_term_that_the_profile_lacks_is_named(tmp_path: Path, source: str) -> None:
+    name = "plant.profile.theta[1].sine.omega"
+    change = ('set = {"controller.damping" = true}', f'set = {{"{name}" = 3.0}}')
+    if source == "sweep":
+        axis = f"[sweep]\n[[sweep.axes]]\nset = '{name}'\nvalues = [3.0]\n[[figures]]"
+        change = ("[[figures]]", axis)
+    file = write(tmp_path, SCALAR, change)
+    (warning,) = load_scenario(file).warnings
+    assert warning == (
+        f"{file}: {source}: 'plant.profile[1].sine[1].omega' has no effect, as the profile has no "
+        "such term: 'plant.profile[1].sine[1].amplitude' is 0"
+    )

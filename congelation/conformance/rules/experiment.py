@@ -103,8 +103,7 @@ def _past_stop(bench: Bench) -> Status:
     excite(instance, bench.description, 2)
     bench.library.probe = "past stopTime"
     status = instance.step(grid.time(2), grid.step)
-    if status != Status.FATAL:
-        instance.free()
+    instance.free()
     return status
 
 

@@ -39,8 +39,7 @@ def _refusals(bench: Bench, *, logging: bool) -> Iterator[tuple[str, Status, lis
         status = provoke(bench, instance)
         if status != Status.OK:
             yield what, status, instance.messages[before:]
-        if status != Status.FATAL:
-            instance.free()
+        instance.free()
 
 
 def _all_messages(bench: Bench) -> list[LogMessage]:

@@ -230,8 +230,7 @@ def status_inquiry(bench: Bench) -> Iterator[str]:
                 begin - 1e-9 <= time.value < begin + _LARGE * bench.grid.step
             ):
                 yield f"fmi2LastSuccessfulTime is {time.value!r} after {what} from {begin!r}"
-        if status != Status.FATAL:
-            instance.free()
+        instance.free()
     require(discarded, "no step was discarded")
 
 
@@ -369,8 +368,7 @@ def reset_after_failure(bench: Bench) -> Iterator[str]:
             except Violated as breach:
                 raise Violated(f"after {what} ({status}) and fmi2Reset: {breach}") from None
             yield from bench.compare(found, f"after {what} ({status}) and fmi2Reset")
-        if status != Status.FATAL:
-            instance.free()
+        instance.free()
     require(failed, "no step was discarded or failed")
 
 

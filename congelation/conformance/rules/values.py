@@ -211,12 +211,9 @@ def _not_error(bench: Bench, references: dict[str, list[int]]) -> Iterator[str]:
     """Lines for wrong calls that are not answered with fmi2Error."""
     for what, attempt in _attempts(references):
         # Each on an instance of its own, since an error ends its usefulness.
-        instance = bench.ready()
-        status = attempt(instance)
-        if status != Status.ERROR:
-            yield f"{what} returned {status}"
-        if status != Status.FATAL:
-            instance.free()
+        with bench.held() as instance:
+            if (status := attempt(instance)) != Status.ERROR:
+                yield f"{what} returned {status}"
 
 
 @dynamic("FMI2-VALUE-06", "2.1.3", Level.ROBUSTNESS)
@@ -290,14 +287,12 @@ def constants(bench: Bench) -> Iterator[str]:
     found = [v for v in bench.description.variables if v.variability == "constant"]
     require(found, "there is no constant")
     for v in found:
-        instance = bench.ready()
-        _, (value,) = instance.get(v.base, [v.reference])
-        bench.library.probe = "a constant"
-        status = instance.set(v.base, [v.reference], [value])
-        if status != Status.ERROR:
-            yield f"fmi2Set{v.base} of {v.name} returned {status}"
-        if status != Status.FATAL:
-            instance.free()
+        with bench.held() as instance:
+            _, (value,) = instance.get(v.base, [v.reference])
+            bench.library.probe = "a constant"
+            status = instance.set(v.base, [v.reference], [value])
+            if status != Status.ERROR:
+                yield f"fmi2Set{v.base} of {v.name} returned {status}"
 
 
 @dynamic("FMI2-VALUE-09", "2.1.7", Level.VIOLATION)

@@ -9,7 +9,7 @@ from pathlib import Path
 
 __all__ = ["VERSION", "available", "load_library", "loaded"]
 
-VERSION = 6
+VERSION = 7
 """Version of the library that fits these structures; as in loop/loop.c."""
 
 

@@ -201,6 +201,7 @@ class Memory(ctypes.Structure):
         ("sizes", ctypes.c_void_p),
         ("lasting", ctypes.c_void_p),
         ("found", ctypes.c_double),
+        ("estimate", ctypes.c_double),
         ("left", ctypes.c_int),
         ("rejected", ctypes.c_int),
         ("n_grids", ctypes.c_int),

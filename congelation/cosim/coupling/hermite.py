@@ -89,7 +89,8 @@ class Hermite(Coupling):
     jumps : str
         What a step is that no length makes as accurate as a tolerance asks. "refuse": the end of
         the run. "pass": a jump that no FMU announces; the shortest step over it is kept, and what
-        was before it is forgotten.
+        was before it is forgotten. A value that changes by more than twice what its derivatives
+        explain counts as jumping, too.
     control : str
         How the error of a step is found where a tolerance chooses it and an input cannot follow the
         cubic, or a source has no derivative. "halves": the step is made again in two halves, and

@@ -2,7 +2,10 @@
 
 enum { PROBED = 8 };
 static const double SHARES = 2.0, LEAST_SHARE = 1e-2, PASSING_SHARE = 0.3, FLOOR_EXPONENT = 0.25;
+static const double LEAST_SHARE_UNSEEN = 0.2, PASSING_SHARE_UNSEEN = 1.2;
 static const double SHORTEST_JUDGED = 1e-6;
+
+static double larger(double a, double b) { return a > b ? a : b; }
 
 /* A step for a trial, whatever the coupling. */
 static int make(Loop *loop, const Plan *plan, const State *from, State *to, double time, double end,
@@ -49,10 +52,9 @@ static int halved(Loop *loop, const Plan *plan, Memory *memory, State *states, d
     if ((code = restore(loop))) return code;
     code = in_halves(loop, plan, from, &states[1], &states[0], time, end, trial, first_half);
     if (code || !W || !isfinite(trial->error)) return code;
-    const double least = SHARES * (end - time) / plan->horizon;
-    const double share = least > LEAST_SHARE ? least : LEAST_SHARE;
-    double worst = 0.0;
-    memory->found = 0.0;
+    const double even = SHARES * (end - time) / plan->horizon;
+    memory->found = memory->estimate = trial->error = 0.0;
+    trial->order = 1;
     const int is_short = end - time <= SHORTEST_JUDGED * plan->horizon;
     for (ptrdiff_t k = 0; k < W; k++) {
         const double found = loop->Y[loop->judged[k]], difference = found - at_end[k];
@@ -64,13 +66,16 @@ static int halved(Loop *loop, const Plan *plan, Memory *memory, State *states, d
         const double size = memory->sizes[k] > fabs(found) ? memory->sizes[k] : fabs(found);
         const double error = is_short && k >= L ? 0.0
             : fabs(difference) / 3.0 / (loop->judged_nominal[k] + size);
-        const double lasts = error * memory->lasting[k] / share, passes = error / PASSING_SHARE;
-        if (error > memory->found) memory->found = error;
-        if (lasts > worst) worst = lasts;
-        if (passes > worst) worst = passes;
+        const double least = k < L ? LEAST_SHARE : LEAST_SHARE_UNSEEN;
+        const double lasts = error * memory->lasting[k] / larger(even, least);
+        const double passes = error / (k < L ? PASSING_SHARE : PASSING_SHARE_UNSEEN);
+        memory->found = larger(memory->found, error);
+        memory->estimate = larger(memory->estimate, larger(lasts, error / PASSING_SHARE));
+        if (larger(lasts, passes) > trial->error) {
+            trial->error = larger(lasts, passes);
+            trial->order = passes >= lasts ? 1 : even < least ? 3 : 2;
+        }
     }
-    trial->error = worst;
-    trial->order = share == LEAST_SHARE ? 3 : 2;
     return DONE;
 }
 

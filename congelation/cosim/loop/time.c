@@ -1,8 +1,8 @@
-/* The loop over time, as stepping.py: steps chosen by a tolerance, or given. */
+/* The loop over time, as stepping.py and adaptive_step.py: steps chosen by a tolerance, or given. */
 
 static const double SAFETY = 0.9, LARGEST_CHANGE = 4.0, SMALLEST_CHANGE = 0.2;  /* step_control.py */
 static const double PROPORTIONAL = 0.4, INTEGRAL = 0.7, SMALLEST_ERROR = 1e-4;
-static const double STRETCH = 1.1, SMALLEST_STEP = 16.0, SMALLEST_SHARE = 1e-15;  /* stepping.py */
+static const double STRETCH = 1.1, SMALLEST_STEP = 16.0, SMALLEST_SHARE = 1e-15;  /* adaptive_step.py */
 static const double SAMPLED_TOLERANCE = 1e-3, MOST_AMPLIFIED = 200.0;  /* recording.py */
 
 /* `unresolved` of Session and OutputGrid: above 1, the step to `end`, which has been made, is too long
@@ -172,7 +172,8 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
             }
         }
         if (accepted) {
-            if (trial.error > loop->largest_error) loop->largest_error = trial.error;
+            const double stated = plan->halves ? memory->estimate : trial.error;
+            if (stated > loop->largest_error) loop->largest_error = stated;
             if (plan->halves) accept_halves(loop, memory);
             take(loop, plan, &states[0], &memory->state);
             return DONE;

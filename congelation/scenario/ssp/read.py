@@ -69,7 +69,7 @@ def _scenario(archive: Archive, experiment: Mapping[str, object]) -> Scenario:
     components = {names[name]: component for name, component in components.items()}
     connections = list(connections_between(system, archive, names, connectors))
     document = {
-        "title": root.get("description") or root.get("name"),
+        "title": " ".join((root.get("description") or root.get("name")).split()),
         **annotated_tables(root, archive),
         "components": components,
         "connections": connections,
