@@ -378,8 +378,13 @@ def read_document(file: Path) -> tuple[str, Section]:
         text = file.read_text(encoding="utf-8-sig")  # with or without a byte order mark
     except FileNotFoundError as error:
         raise InvalidInput(f"{file}: no such file; {_neighbours(file)}") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidInput(f"{file}: cannot be read as UTF-8 text ({error})") from error
+    except UnicodeDecodeError as error:
+        line = error.object.count(b"\n", 0, error.start) + 1
+        raise InvalidInput(
+            f"{file}: line {line} is no UTF-8 text; save the file in this encoding"
+        ) from error
+    except OSError as error:
+        raise InvalidInput(f"{file}: cannot be read ({error.strerror})") from error
     return text, parse_document(text, str(file))
 
 

@@ -54,6 +54,8 @@ napoleon_use_ivar = True
 
 html_math_renderer = "mathml"
 LONG_FORMULA, LONG_CELL, SHORT_CELL, SHORT_CODE = 70, 60, 18, 24  # characters
+MANY_COLUMNS = 6
+LABELLED = ("default", "start", "unit")  # columns whose head a phone repeats in each cell
 
 
 def formula(translator, node: nodes.math | nodes.math_block) -> None:  # type: ignore[no-untyped-def]
@@ -78,6 +80,18 @@ def widths(app: Sphinx, document: nodes.document, page: str) -> None:
     for code in document.findall(nodes.literal):
         if len(code.astext()) <= SHORT_CODE:
             code["classes"].append("short")
+    for table in document.findall(nodes.table):
+        columns = next(table.findall(nodes.tgroup))["cols"]
+        if columns >= MANY_COLUMNS:
+            table["classes"].append("dense")
+        if page.startswith("generated/") and columns > 2:
+            # On a phone, which has room for two columns, the cells of a row follow each other.
+            table["classes"].append("stacked")
+            head, *rows = table.findall(nodes.row)
+            for row in rows:
+                for name, entry in zip(head, row, strict=True):
+                    if name.astext() in LABELLED and entry.astext() not in ("", "required"):
+                        entry["classes"].append(f"labelled-{name.astext()}")
     for entry in document.findall(nodes.entry):
         size = len(entry.astext())
         if size > LONG_CELL:
@@ -86,11 +100,17 @@ def widths(app: Sphinx, document: nodes.document, page: str) -> None:
             entry["classes"].append("short")
 
 
+def breaks(found: re.Match[str]) -> str:
+    """A long name in code, which may be broken after each underscore."""
+    return found[0].replace("_", "_<wbr>")
+
+
 def options(app: Sphinx, page: str, template: str, context: dict, document: object) -> None:  # type: ignore[type-arg]
-    """Mark the options in code, which a browser breaks after the two hyphens, to be kept whole."""
+    """Say in code where a browser may break lines: in options nowhere, in long names after _."""
     if "body" not in context:  # a page without a text, such as the search
         return
     body = context["body"].replace('<span class="pre">--', '<span class="pre option">--')
+    body = re.sub(rf'(?<=<span class="pre">)\w{{{SHORT_CODE + 1},}}(?=</span>)', breaks, body)
     context["body"] = re.sub(
         r"<pre>.*?</pre>",
         lambda block: re.sub(r"(?<=\s)--[a-z-]+", r'<span class="option">\g<0></span>', block[0]),

@@ -262,8 +262,8 @@ def fmu(path: Path) -> list[str]:
         lines += [f"## {title}", "", *table(columns, cells)]
     if any(v.name.startswith("profile[") for v in model.parameters):
         lines += [
-            "The parameters `profile[j].…` hold the terms of its signals, θ(t) or d(t): "
-            "[The parameter signals](../../signals.md).",
+            "The parameters `profile[j].…`, not listed here, describe the j-th signal that the FMU "
+            "makes by itself, such as θ_j(t): [The parameter signals](../../signals.md).",
             "",
         ]
     return lines

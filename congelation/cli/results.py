@@ -27,8 +27,8 @@ from congelation.report.comparison import (
     changes_by_run,
     changes_by_variant,
     verdict,
-    write_comparison,
 )
+from congelation.report.comparison_page import write_comparison
 from congelation.report.export_formats import write_csv, write_mat
 from congelation.report.pareto import draw_front, pareto_front
 from congelation.report.run_page import write_html

@@ -33,7 +33,8 @@ def to_lines(fmu: FmuReport) -> Iterator[str]:
             yield str(finding)
     known = [finding.rule for finding in fmu.findings if finding.known]
     if known:
-        yield f"{fmu.path}: {len(known)} known, not counted: {', '.join(known)}"
+        names = ", ".join(known)
+        yield f"{fmu.path}: {len(known)} known, not counted (--table says why): {names}"
     reasons: dict[str, list[str]] = {}
     for verdict in fmu.verdicts:
         if verdict.outcome is Outcome.NOT_EVALUATED:

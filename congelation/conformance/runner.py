@@ -17,7 +17,7 @@ from congelation.arguments import checked
 from congelation.conformance.accepted import Accepted, read_known
 from congelation.conformance.checker import Checker
 from congelation.conformance.finding import FmuReport, Report, Verdict, merged
-from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Outcome, Rule
+from congelation.conformance.rule import BY_ID, DEFAULT_TIME_LIMIT, Outcome, Rule, StaticRule
 from congelation.conformance.rules import RULES
 from congelation.conformance.subject import DESCRIPTION
 from congelation.errors import InvalidInput, nearest, require_count
@@ -130,6 +130,8 @@ def check(
     if not 0.0 < time_limit < math.inf:
         raise InvalidInput(f"time_limit = {time_limit} is not valid; give a positive number of s")
     chosen = select(rules) or RULES
+    if static and not any(isinstance(rule, StaticRule) for rule in chosen):
+        raise InvalidInput(f"{chosen[0].id} runs the FMU: leave out 'static' or give other rules")
     files = _readable(paths)
     accepted = read_known(Path(known), BY_ID) if known is not None else ()
     used: set[Accepted] = set()

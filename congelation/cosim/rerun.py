@@ -24,6 +24,9 @@ Indices = npt.NDArray[np.intp]
 TIGHTER = 0.03
 """Tolerance of the iterations in the second run, relative to that of the first."""
 
+PATIENCE = 4
+"""Iterations that a step of the second run may take, relative to the first."""
+
 TIGHTER_SLAVES = 0.01
 """Tolerance of the FMUs in the second run, relative to that of the first."""
 
@@ -176,6 +179,8 @@ def tightened(experiment: Experiment, order: int) -> Experiment:
             # One iteration takes no step back, which FMUs may not be able to.
             iterations=1 if coupling.iterations == 1 else None,
             tolerance=TIGHTER * accuracy,
+            # There is no shorter step to fall back on, as the first run may have had.
+            max_iterations=PATIENCE * coupling.max_iterations,
         )
     slaves = slave_tolerance(experiment)
     return replace(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import casadi as ca
 
+from congelation.fmi.units import factors, unit_of_factors
 from congelation.signals import FlatParameter, Profile, Slots, flat_parameters
 from congelation.theory.model import Domain, Model, Parameter, State, Variables
 
@@ -302,8 +303,8 @@ def _singly(names: Iterable[str]) -> list[frozenset[str]]:
 
 
 def _per_second(unit: str, order: int = 1) -> str:
-    power = "s" if order == 1 else f"s{order}"
-    return f"{unit}/{power}" if unit else f"1/{power}"
+    powers = factors(unit or "1")
+    return unit_of_factors({**powers, "s": powers.get("s", 0) - order})
 
 
 def _inputs(model: Model) -> Iterable[ScalarVariable]:

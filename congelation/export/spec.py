@@ -230,9 +230,6 @@ def _pair_spec(file: Path, top: Section, read: Mapping[str, Any], form: str, tit
     models = top.attempt("structure", lambda: FORMS[form].models(structure))
     plant_model, controller_model, special = models
     units = read_units(read["units"], form, structure, plant_model, controller_model)
-    if "Upsilon" in structure and "theta_hat" not in read["units"].data:
-        # Estimated is vartheta, whose units are not those of theta.
-        units = {name: unit for name, unit in units.items() if name != "theta_hat"}
     section: Section = read["controller"]
     start = section.section("start")
     if structure.get("radius") == "estimated" and "delta" in start.data:

@@ -82,12 +82,29 @@ def read_units(section: Section, form: str, structure: Structure, *models: Model
                     f"= '{stated[fit.name]}' does not fit the equation {fit.equation} of the form "
                     f"'{form}'; give {shown}the unit '{expected}'",
                 )
-    if "theta" in units and "theta_hat" in scalars:
-        # An input gain b(t) is an element of theta, but none of theta_hat.
+    if "theta" in units and "theta_hat" in scalars and "Upsilon" not in structure:
+        # An input gain b(t) is an element of theta, but none of theta_hat. With Upsilon, estimated
+        # is vartheta, whose units are not those of theta.
         shared = units["theta"]
         own = shared if isinstance(shared, str) else shared[: len(scalars["theta_hat"])]
-        return {"theta_hat": own, **units}
+        units = {"theta_hat": own, **units}
+    for name, source in _FOLLOWERS.items():
+        if source in units and name not in scalars:
+            units[name] = units[source]
+    if form == "reference" and "yr" in units:
+        units |= {"q": units["yr"]}
+        units |= dict.fromkeys(("r", "offset", "amplitude"), stated["yr[0]"])
     return units
+
+
+_FOLLOWERS = {
+    "theta_center": "theta_hat",
+    "theta_half_width": "theta_hat",
+    "limit": "y",
+    "centre": "y",
+    "before": "y",
+}
+"""Parameters that are measured as a variable is whose unit a spec states."""
 
 
 def _equal(one: str, other: str) -> bool:

@@ -11,12 +11,14 @@ import hashlib
 import html
 import json
 import pprint
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from congelation import signals
 from congelation.export.equations import equations_module
+from congelation.export.forms import Structure
 from congelation.export.interface import Interface, ScalarVariable, interface_of
 from congelation.export.spec import BlockSpec, FmuSpec, Spec
 from congelation.theory.model import Model
@@ -78,7 +80,7 @@ def stage(fmu: FmuSpec, spec: Spec | BlockSpec, sources: Path, folder: Path) -> 
     """
     interface = interface_of(fmu.model, fmu.profiles)
     equations = (sources / "equations" / f"{fmu.model.name}.html").read_text("utf-8")
-    page = _page(fmu, interface, equations)
+    page = _page(fmu, spec, interface, equations)
     icon = (sources / f"{fmu.role}.png").read_bytes()
     about = json.dumps(_about(fmu, spec), indent=1, sort_keys=True) + "\n"
 
@@ -231,14 +233,15 @@ th, td {{ border: 1px solid #bbb; padding: 0.2em 0.6em; text-align: left; }}
 <h1>{name}</h1>
 <p>{description}.{source}</p>
 {equations}
-<p>On a communication step [t, t + h] an input v acts as
-v + der(v) s + der(v,2) s&sup2;/2 + der(v,3) s&sup3;/6, s being the time since t; left alone, the
-derivatives are 0 and v is held.</p>
 {tables}
 </body>
 </html>
 """
 
+
+_INPUTS = """<p>On a communication step [t, t + h] an input v acts as
+v + der(v) s + der(v,2) s&sup2;/2 + der(v,3) s&sup3;/6, s being the time since t; left alone, the
+derivatives are 0 and v is held.</p>"""
 
 _SOURCE = """ Equation numbers are those of K. Chen and A. Astolfi, <i>Adaptive Control of
 Linear Systems with Time-Varying Parameters</i>, American Control Conference 2018."""
@@ -263,8 +266,20 @@ _GROUPS: tuple[tuple[str, Callable[[ScalarVariable], bool]], ...] = (
 """What a reader of the page looks for, in that order."""
 
 
-def _page(fmu: FmuSpec, interface: Interface, equations: str) -> str:
+def _page(fmu: FmuSpec, spec: Spec | BlockSpec, interface: Interface, equations: str) -> str:
     """documentation/index.html: the equations and the variables."""
+    # A paragraph with data-with is kept where the FMU has all variables and options in it.
+    has = {v.name.partition("[")[0] for v in interface.variables}
+    has |= {f"{key}={value}" for key, value in spec.structure.items()}
+    kept = [
+        re.sub(' data-with="[^"]*"', "", line)
+        for line in equations.strip().splitlines()
+        if has.issuperset(" ".join(re.findall('data-with="([^"]*)"', line)).split())
+    ]
+    if fmu.role == "plant" and spec.form == "strict-feedback":
+        kept += ["<p>With the functions of this plant:</p>", *_rows(spec.structure)]
+    if any(v.causality == "input" for v in interface.variables):
+        kept.append(_INPUTS)
     tables = []
     for title, belongs in _GROUPS:
         rows = "\n".join(
@@ -279,8 +294,34 @@ def _page(fmu: FmuSpec, interface: Interface, equations: str) -> str:
             tables.append(f"<h2>{title}</h2>\n<table>\n{_HEAD}\n{rows}\n</table>")
     return _PAGE.format(
         name=html.escape(fmu.name),
-        description=html.escape(fmu.model.description),
+        description=html.escape(
+            fmu.model.description
+            if fmu.role == "block"
+            else f"{spec.title}. {fmu.model.description}"
+        ),
         source="" if fmu.role == "block" else _SOURCE,
-        equations=equations.strip(),
+        equations="\n".join(kept),
         tables="\n".join(tables),
     )
+
+
+def _rows(structure: Structure) -> Iterator[str]:
+    """The equations (9) of a plant in strict-feedback form, with its regressors."""
+    n, p = int(structure["n"]), int(structure["p"])
+    control = f"&theta;<sub>{p + 1}</sub> u" if structure.get("gain") == "varying" else "u"
+    for i in range(n):
+        row = f"x<sub>{i + 1}</sub>&#8242; = "
+        row += control if i == n - 1 else f"x<sub>{i + 2}</sub>"
+        for k in range(p):
+            if "phi" in structure:
+                factors = [(1.0, f"({html.escape(structure['phi'][i][k])})")]
+            else:
+                factors = [(structure["phibar"][i][j][k], f"x<sub>{j + 1}</sub>") for j in range(n)]
+            for number, factor in factors:
+                if number != 0.0 and factor not in ("(0)", "(0.0)"):
+                    sign = "&minus;" if number < 0 else "+"
+                    size = "" if abs(number) == 1.0 else f"{abs(number):g} "
+                    row += f" {sign} {size}&theta;<sub>{k + 1}</sub> {factor}"
+        if structure.get("disturbance"):
+            row += f" + d<sub>{i + 1}</sub>"
+        yield f'<p class="equation">{row}</p>'

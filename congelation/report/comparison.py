@@ -1,25 +1,19 @@
-"""Result directories beside each other: what a change of a scenario, an FMU or the code did."""
+"""Result directories run by run: what a change of a scenario, an FMU or the code did."""
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from html import escape
 from pathlib import Path
-from statistics import median
+from statistics import median_low as median  # a value that is there, as in the tables
 from typing import Any
 
-from congelation.errors import InvalidInput, counted
-from congelation.places import replace_whole
+from congelation.errors import InvalidInput
 from congelation.report.axes import axes_of
-from congelation.report.page_shell import Drawn, lines_of, opening, page, table
-from congelation.report.run_page import draw_overlaid, trajectory_of
 from congelation.report.summary import label_of, metric_value, number, short
-from congelation.report.verdict import listed, settled, settling_rule
-from congelation.results.record import RunRecord, Study, Trajectory
-from congelation.results.results import Results
+from congelation.report.verdict import listed, settled
+from congelation.results.record import RunRecord, Study
 
 __all__ = [
     "BY_VARIANT",
@@ -30,13 +24,10 @@ __all__ = [
     "changes_by_variant",
     "compare",
     "folder_names",
+    "percent",
     "relative_change",
     "verdict",
-    "write_comparison",
 ]
-
-LISTED = 100
-"""Pairs of a study in the page's table: those that changed most. The counts are of all."""
 
 FEW = 12
 """Pairs up to which every metric of every pair has a line of its own."""
@@ -153,64 +144,6 @@ def relative_change(before: float | None, after: float | None) -> float:
     if a is None or b is None or not math.isfinite(a) or not math.isfinite(b) or a == 0.0:
         return math.inf
     return (b - a) / abs(a)
-
-
-def write_comparison(directories: Sequence[Results], file: Path) -> tuple[Comparison, ...]:
-    """Write the page that sets the newest studies of directories beside each other.
-
-    Parameters
-    ----------
-    directories : sequence of Results
-        Two or more; each is compared with the first.
-    file : Path
-
-    Returns
-    -------
-    tuple of Comparison
-        One for each directory but the first.
-
-    Raises
-    ------
-    InvalidInput
-        If a directory holds no results, is given twice, or shares no run with the first.
-    CongelationError
-        If the file cannot be written.
-    """
-    names = folder_names([results.folder for results in directories])
-    studies = [results.study() for results in directories]
-    found = tuple(
-        compare((names[0], name), (studies[0], study))
-        for name, study in zip(names[1:], studies[1:], strict=True)
-    )
-    for comparison in found:
-        if not comparison.pairs:
-            first, name = comparison.names
-            sizes = [counted(len(study.records), "run") for study in comparison.studies]
-            raise InvalidInput(
-                f"{first} ({sizes[0]}) and {name} ({sizes[1]}) have no run in common, of the same "
-                "variant and settings; give directories of the same study"
-            )
-    title = f"Comparison of {listed(names)}"
-    sentences = [sentence for comparison in found for sentence in verdict(comparison)]
-    pieces: list[str | Drawn] = [*opening(title, sentences)]
-    for comparison in found:
-        pieces += _section(comparison)
-    variants: list[str] = []
-    scales: dict[str, dict[str, Any]] = {}
-    if any(axes_of(study) for study in studies):
-        pieces.append(
-            '<p class="note">Trajectories are drawn where every variant has one run in each '
-            "directory.</p>"
-        )
-    else:
-        plots, variants, scales = _overlaid(directories, names, studies)
-        pieces += plots
-    for comparison in found:
-        pieces += _inputs(comparison)
-    pieces.append("</main>")
-    text = page(title, pieces, {"variants": variants, "scales": scales})
-    replace_whole(file, lambda temporary: temporary.write_text(text, encoding="utf-8"))
-    return found
 
 
 def verdict(comparison: Comparison) -> Iterator[str]:
@@ -330,119 +263,3 @@ def changes_by_run(comparison: Comparison) -> Iterator[tuple[str, list[str]]]:
             cells = [*(metric_value(v, about) for v in (a, b)), difference]
             cells.append(percent(relative_change(a, b)))
             yield f"{pair.label}: {label_of(name, about)}", cells
-
-
-def _section(comparison: Comparison) -> Iterator[str]:
-    """Tables of a pair of directories, and what went into them."""
-    before, after = comparison.names
-    yield f"<h2>{escape(after)} against {escape(before)}</h2>"
-    if len(comparison.pairs) <= FEW:
-        columns = [before, after, "difference", "change"]
-        yield from table(columns, changes_by_run(comparison), "Metrics side by side")
-    else:
-        yield from table(BY_VARIANT, changes_by_variant(comparison), "Changes by variant")
-        yield from _most_changed(comparison)
-    if comparison.alone:
-        yield "<details open><summary>Runs that could not be compared</summary>"
-        yield (
-            '<p class="note">Runs are matched by variant, replicate, and the settings that vary '
-            f"in both directories. {len(comparison.alone)} have no counterpart, or several"
-            f"{f'; the first {LISTED} are listed' if len(comparison.alone) > LISTED else ''}.</p>"
-        )
-        lines = [(label, [name]) for label, name in comparison.alone[:LISTED]]
-        yield from table(["only in"], lines, "Runs without a counterpart")
-        yield "</details>"
-    if rule := settling_rule(comparison.studies[1]):
-        yield f'<p class="note">{escape(rule)}</p>'
-    if comparison.own:
-        said = [f"{metric} ({name})" for metric, name in comparison.own]
-        yield (
-            '<p class="note">Metrics that only one directory has, or that the two define '
-            f"otherwise, are left out: {escape(listed(said))}.</p>"
-        )
-
-
-def _most_changed(comparison: Comparison) -> Iterator[str]:
-    """The pairs of a study whose metrics changed most."""
-
-    def sizes(pair: Pair) -> list[float]:
-        return [
-            abs(relative_change(pair.before.metrics.get(n), pair.after.metrics.get(n)))
-            for n in comparison.metrics
-        ]
-
-    def order(pair: Pair) -> tuple[bool, float]:
-        return pair.before.status != pair.after.status, max(sizes(pair), default=0.0)
-
-    changed = [pair for pair in comparison.pairs if order(pair) != (False, 0.0)]
-    if not changed:
-        return
-    changed.sort(key=order, reverse=True)
-    lines = []
-    for pair in changed[:LISTED]:
-        ends = dict.fromkeys((pair.before.status, pair.after.status))
-        cells = [" → ".join(ends)]
-        for name, about in comparison.metrics.items():
-            a, b = pair.before.metrics.get(name), pair.after.metrics.get(name)
-            change = relative_change(a, b)
-            was, now = metric_value(a, about), metric_value(b, about)
-            said = f" ({percent(change)})" if math.isfinite(change) else ""
-            cells.append(f"{was} → {now}{said}" if change else was)
-        lines.append((pair.label, cells))
-    heads = ["status", *(label_of(n, about) for n, about in comparison.metrics.items())]
-    yield (
-        f'<p class="note">{len(changed)} of {len(comparison.pairs)} pairs changed'
-        f"{f'; the {LISTED} that changed most are listed' if len(changed) > LISTED else ''}.</p>"
-    )
-    yield from table(heads, lines, "Pairs that changed, before → now")
-
-
-def _inputs(comparison: Comparison) -> Iterator[str]:
-    """What differs in versions, FMUs and the text of the scenario."""
-    first, second = (study.about for study in comparison.studies)
-    named = [
-        {**about["versions"], **{k: f"{v['file']}, {v['sha256'][:16]}" for k, v in fmus.items()}}
-        for about, fmus in ((first, first["fmus"]), (second, second["fmus"]))
-    ]
-    lines = [
-        (name, [one, two])
-        for name in dict.fromkeys([*named[0], *named[1]])
-        if (one := named[0].get(name, "–")) != (two := named[1].get(name, "–"))
-    ]
-    yield f"<h2>What went into {escape(comparison.names[1])} and {escape(comparison.names[0])}</h2>"
-    if lines:
-        yield from table(comparison.names, lines, "Versions and FMUs that differ")
-    else:
-        yield "<p>The versions of the software and the FMUs are the same.</p>"
-    change = [
-        *difflib.unified_diff(
-            first["scenario"].splitlines(),
-            second["scenario"].splitlines(),
-            f"{comparison.names[0]}: {first['scenario_file']}",
-            f"{comparison.names[1]}: {second['scenario_file']}",
-            lineterm="",
-        )
-    ]
-    if change:
-        yield "<h3>Changes of the scenario</h3>"
-        yield lines_of("\n".join(change))
-    else:
-        yield "<p>The text of the scenario is the same.</p>"
-
-
-def _overlaid(
-    directories: Sequence[Results], names: Sequence[str], studies: Sequence[Study]
-) -> tuple[list[str | Drawn], list[str], dict[str, dict[str, Any]]]:
-    """The trajectories of all directories in the same plots, and the names of their curves."""
-    found: list[tuple[str, Trajectory]] = []
-    variants = dict.fromkeys(run.variant for study in studies for run in study.records)
-    for variant in variants:  # so that the curves to compare stand beside each other
-        for results, name, study in zip(directories, names, studies, strict=True):
-            found += [
-                (f"{run.variant}, {name}", trajectory_of(results, study, run))
-                for run in study.records
-                if run.variant == variant and results.store.trajectory_file(run.run_id).is_file()
-            ]
-    labels = [label for label, _ in found]
-    pieces, scales = draw_overlaid([(k, run) for k, (_, run) in enumerate(found)], labels, studies)
-    return pieces, labels, scales

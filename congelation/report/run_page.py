@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from congelation.places import replace_whole
-from congelation.report.curves import POINTS, controls, curve_panels, draw_panels
+from congelation.report.curves import POINTS, curve_panels
 from congelation.report.diagram import diagram
 from congelation.report.page_shell import Drawn, lines_of, opening, page, pairs, swatch, table, tile
+from congelation.report.panels import controls, draw_panels
 from congelation.report.study_page import study_content
 from congelation.report.study_verdict import study_verdict
 from congelation.report.summary import metric_definitions, summarise

@@ -102,9 +102,15 @@ class Runs(Sequence[RunRecord]):
         raise IndexError(f"no run has the number {key}; there are {len(self)}")
 
     def _column(self, name: str) -> npt.NDArray[Any]:
-        """One column: numbers with nan for what is missing, or objects."""
+        """One column: numbers with nan for what is missing, or objects.
+
+        Tables print settings and metrics without what the names of their columns begin with.
+        """
         if name not in self.columns:
-            raise InvalidInput(f"'{name}' is no column; {nearest(name, self.columns)}")
+            named = [c for c in (f"metric.{name}", f"set.{name}") if c in self.columns]
+            if len(named) != 1:
+                raise InvalidInput(f"'{name}' is no column; {nearest(name, self.columns)}")
+            name = named[0]
         values = [row[name] for row in self._store.rows(self._study)]
         if any(isinstance(value, bool | str) for value in values):
             return np.array(values, dtype=object)

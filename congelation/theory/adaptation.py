@@ -316,7 +316,7 @@ def robust(theta_hat: Variables, Gamma: ca.SX, steps: int) -> Robust:
         projection_ball=scalar("projection_ball", "True: project onto the ball"),
         projection_box=scalar("projection_box", "True: project onto the box"),
         projection_margin=scalar("projection_margin", "Relative width of the projection's edge"),
-        dead_zone=scalar("dead_zone", "Errors z_i up to this size do not move the estimates"),
+        dead_zone=scalar("dead_zone", "Errors up to this size do not move the estimates"),
     )
     return Robust(theta_hat, Gamma, max(steps - 1, 0), settings, *_set_of(theta_hat))
 

@@ -260,6 +260,11 @@ def test_select_takes_ids_and_families() -> None:
         select(["FMI2-LIB-99"])
 
 
+def test_static_rules_alone_that_are_none_are_refused(correct: Path) -> None:
+    with pytest.raises(InvalidInput, match="FMI2-STEP-01 runs the FMU"):
+        check([correct], rules=["FMI2-STEP"], static=True)
+
+
 def test_run_wants_files(tmp_path: Path) -> None:
     with pytest.raises(InvalidInput, match="there is no FMU at"):
         check([tmp_path / "missing.fmu"])

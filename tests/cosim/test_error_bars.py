@@ -203,6 +203,14 @@ def test_a_second_run_that_fails_leaves_the_first_with_its_error_unknown(parts):
     assert result.names == ("a.y1", "b.y1")
 
 
+def test_the_second_run_may_iterate_longer_as_its_steps_are_given(parts):
+    loop = problem("algebraic_loop_0.3")
+    result = run(loop, parts, "state", "hermite", tolerance=1e-2, trust=True)
+    error = np.abs(result.values[:, : len(loop.record)] - loop.exact(result.time))
+    assert result.trust.verdict == "resolved"
+    assert (error <= result.trust.bands + 1e-9).all()
+
+
 def test_a_run_that_fails_has_no_bars(parts):
     result = run(problem("algebraic_loop_1.05"), parts, "held", "jacobi", step=4e-4, trust=True)
     assert result.status is Status.DIVERGED

@@ -5,12 +5,15 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 
 import build_fmu
 from congelation.errors import InvalidInput
+from congelation.export.interface import interface_of
 from congelation.export.spec import read_buildable, read_spec
+from tests.scenarios import FMUS
 
 ROOT = Path(__file__).resolve().parents[2]
 GOOD = """
@@ -264,3 +267,30 @@ def test_units_that_the_equations_admit(tmp_path, text):
     stated = [u for fmu in fmus for i in fmu.model.inputs for u in i.variables.units if u]
     stated += [u for fmu in fmus for y in fmu.model.outputs for u in y.variables.units if u]
     assert stated
+
+
+def test_what_a_reference_is_measured_in(tmp_path):
+    """Its amplitudes, its filter and derivatives have units that follow from that of yr[0]."""
+    file = tmp_path / "reference.toml"
+    file.write_text(REFERENCE + 'yr = ["rad", "rad/s", "rad/s2"]\n[block]\nname = "R"\n')
+    fmu = read_buildable(file).fmus[0]
+    units = {v.name: v.unit for v in interface_of(fmu.model, fmu.profiles).variables}
+    assert {units[name] for name in ("offset", "amplitude[1]", "r", "q0[0]")} == {"rad"}
+    assert [units[name] for name in ("q0[1]", "der(yr[1])", "der(yr[2])")] == [
+        "rad/s",
+        "rad/s2",
+        "rad/s3",
+    ]
+
+
+def test_the_page_of_an_fmu_has_the_paragraphs_that_concern_it():
+    """Those of options that it lacks are left out, and its plant's equations are written out."""
+    with ZipFile(FMUS / "ActiveSuspensionPlant.fmu") as archive:
+        plant = archive.read("documentation/index.html").decode()
+    assert "&theta;<sub>3</sub> u &minus; &theta;<sub>1</sub> x<sub>1</sub>" in plant
+    assert "disturbance d<sub>i</sub>" not in plant
+    with ZipFile(FMUS / "TrackingController.fmu") as archive:
+        law = archive.read("documentation/index.html").decode()
+    assert "data-with" not in plant + law
+    assert "<code>epsilon_r</code>" in law
+    assert "<code>rho_hat</code>" not in law

@@ -6,6 +6,7 @@ import re
 import shutil
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urldefrag
@@ -137,6 +138,33 @@ def test_commands_in_pages_exist_with_their_options(page: Path) -> None:
         options = {option for p in known[name].params for option in (*p.opts, *p.secondary_opts)}
         given = {word.partition("=")[0] for word in words if word.startswith("--")}
         assert given <= options | {"--help"}, line
+
+
+FOLDERS = ("congelation", "fmu_src", "specs", "scenarios", "tests", "benchmarks")
+FILES = [f"/{file.relative_to(ROOT)}" for name in FOLDERS for file in (ROOT / name).rglob("*")]
+FILES += [f"/{file.name}" for file in ROOT.iterdir()]
+PACKAGES = {file.parent.name for file in (ROOT / "congelation").glob("*/__init__.py")}
+PLACEHOLDER = "NAME"  # what a reader puts there
+
+
+@pytest.mark.parametrize("page", [*PAGES, ROOT / "CONTRIBUTING.md"], ids=lambda page: page.stem)
+def test_modules_and_files_in_pages_exist(page: Path) -> None:
+    for code in re.findall(r"(?<!`)`([\w./-]+)`(?!`)", page.read_text("utf-8")):
+        name = code.rstrip("/")
+        if PLACEHOLDER in name:
+            continue
+        in_repository = "/" in name and name.partition("/")[0] in {*FOLDERS, *PACKAGES}
+        if name.endswith(".py") or (in_repository and not name.startswith("results/")):
+            assert any(file.endswith(f"/{name}") for file in FILES), code
+        elif "." in name and name.removeprefix("congelation.").partition(".")[0] in PACKAGES:
+            # A module, or what a module holds.
+            found: object = cg
+            path = "congelation"
+            for part in name.removeprefix("congelation.").split("."):
+                path = f"{path}.{part}"
+                file = ROOT / path.replace(".", "/")
+                is_module = file.is_dir() or file.with_suffix(".py").exists()
+                found = import_module(path) if is_module else getattr(found, part)
 
 
 def python_of(page: str) -> list[str]:

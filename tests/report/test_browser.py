@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from congelation.report.comparison import write_comparison
+from congelation.report.comparison_page import write_comparison
 from congelation.report.run_page import write_html
 from tests.report.browser import WIDTHS, chromium, fits, keep, needs_browser, opened
 from tests.report.stored import record, results, stored, stored_study, trajectory

@@ -16,8 +16,8 @@ from congelation.report.comparison import (
     folder_names,
     relative_change,
     verdict,
-    write_comparison,
 )
+from congelation.report.comparison_page import write_comparison
 from congelation.results.record import RunRecord, Study
 from tests.report.stored import ABOUT, record, results, stored, stored_study, trajectory
 from tests.report.test_run_page import Page

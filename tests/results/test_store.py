@@ -160,7 +160,7 @@ def test_a_table_of_runs(store: Store) -> None:
     store.add([record(c, number=n, metrics={"m": n}) for n, c in enumerate("abc")])
     runs = Results(store.root).runs
     assert len(runs) == 3
-    assert runs["metric.m"].tolist() == [0, 1, 2]
+    assert runs["metric.m"].tolist() == runs["m"].tolist() == [0, 1, 2]
     assert runs["status"].tolist() == ["COMPLETED"] * 3
     assert (runs[-1].run_id, [r.run_id for r in runs[:2]]) == ("c", ["a", "b"])
     with pytest.raises(IndexError):
