@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from statistics import median
+from statistics import median_low as median  # a value that is there, as in the tables
 from typing import Any
 
 from congelation.report.axes import FEW, axes_of, short_names, unit_of
@@ -33,6 +33,12 @@ _FAR = 3.0
 
 def study_verdict(study: Study) -> Iterator[str]:
     """Sentences on a sweep: how many runs settle, up to where on each axis, and at what price."""
+    done, planned = len(study.records), study.about.get("planned", 0)
+    if done < planned:
+        yield (
+            f"{done} of {planned} runs are done, and what follows is of these alone; "
+            "sweep --resume does the others."
+        )
     variants: dict[str, list[RunRecord]] = {}
     for run in study.records:
         variants.setdefault(run.variant, []).append(run)

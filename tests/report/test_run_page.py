@@ -114,7 +114,7 @@ def test_a_variant_without_an_axis_is_compared_with_all_runs_of_the_other(tmp_pa
 def test_a_study_says_where_it_fails_and_what_it_costs(tmp_path: Path) -> None:
     found = page(stored_study(tmp_path, kept=0), tmp_path / "report.html")
     head = found.text[: found.text.index("Metric against a setting")]
-    assert "Controller 1 settles in all 8 runs, after 1.5 s (median; 1 to 2 s)." in head
+    assert "Controller 1 settles in all 8 runs, after 1 s (median; 1 to 2 s)." in head
     assert "A run settles when |plant.x| stays" in head
     assert "Controller 2 settles in 4 of 8 runs: in all up to omega = 1 and in none" in head
     assert "from omega = 10 on." in head

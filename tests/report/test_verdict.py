@@ -90,6 +90,14 @@ def test_a_study_tells_what_is_dear_what_is_cheap_and_what_costs_the_same() -> N
     ]
 
 
+def test_an_unfinished_study_says_so_first() -> None:
+    runs = [record(f"r{k}", k, metrics={"settling_x": 1.0}) for k in range(5)]
+    assert next(iter(study_verdict(study(runs, planned=24)))) == (
+        "5 of 24 runs are done, and what follows is of these alone; sweep --resume does the others."
+    )
+    assert "done" not in next(iter(study_verdict(study(runs, planned=5))))
+
+
 def test_settling_that_follows_the_axis_is_told_by_its_ends() -> None:
     """That of A grows, that of B falls, that of C does neither, that of D hardly changes.
 
