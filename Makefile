@@ -58,7 +58,7 @@ demo: fmus
 	@$(BIN)/congelation report results/rivals
 	@$(BIN)/python -m congelation.report.index results
 
-# Three processes on two cores, as tests that wait for processes leave one idle; the longest files first.
+# More processes than cores, as tests that wait for processes leave them idle; the slow files first.
 PYTEST = $(BIN)/python -m pytest -n $(1) --dist loadfile --no-loadscope-reorder
 
 # Debian's packages that tests use; a test that lacks one is skipped, and says so.
@@ -86,7 +86,7 @@ test-platforms: fmus
 # Where the system's packages can be had, they are installed; else the tests say what they skipped.
 test: fmus .venv-cofmupy/installed
 	-@if test "$$(id -u)" = 0 && command -v apt-get >/dev/null; then $(MAKE) --no-print-directory system-packages; fi
-	$(call PYTEST,3)
+	$(call PYTEST,4)
 
 # These wait for nothing, and each process has to collect them all.
 test-fast: fmus

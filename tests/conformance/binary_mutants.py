@@ -27,7 +27,7 @@ _TABLE = (
     ("FMI2-INST-07", "directory_changed", "the working directory changed to '/'"),
     ("FMI2-INST-07", "rounding_changed", "the rounding mode changed"),
     ("FMI2-INST-07", "process_wide_setting", "the environment changed"),
-    ("FMI2-INST-08", "large_leak", "each of 1000 instances left"),
+    ("FMI2-INST-08", "large_leak", "each of 100 instances left"),
     ("FMI2-INST-09", "small_leak", "each of 1000 instances left"),
     ("FMI2-INST-10", "file_left_open", "10 files are still open after 10 instances"),
     ("FMI2-URI-01", "authority_empty_refused", "fmi2Instantiate returned a null pointer"),
