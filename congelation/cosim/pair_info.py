@@ -191,6 +191,22 @@ def _pair(one: FmuInfo, two: FmuInfo, stop_time: float) -> PairInfo:
     components = (Component(names[0], one.path), Component(names[1], two.path))
     system = System(components, tuple(connections))
     links = tuple(map(str, connections))
+    driven = {connection.target for connection in connections}
+    left = {
+        name: [entry.name for entry in fmu.connect if f"{name}.{entry.name}" not in driven]
+        for name, fmu in zip(names, (one, two), strict=True)
+    }
+    alone = [
+        f"{name}.{', '.join(left[name])}"
+        for name, fmu in zip(names, (one, two), strict=True)
+        if left[name] and len(left[name]) == len(fmu.connect)
+    ]
+    if alone:
+        how = (
+            f"Steps are not searched for: no output of the other FMU has the name of {alone[0]}, "
+            "so this is no closed loop."
+        )
+        return PairInfo(links, stop_time, None, None, False, (), how)
     stuck = [fmu.path.name for fmu in (one, two) if not (fmu.saves_state and fmu.varies_step)]
     if stuck:
         how = (

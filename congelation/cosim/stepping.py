@@ -34,7 +34,7 @@ from congelation.cosim.coupling.derivative import DerivativeStepper
 from congelation.cosim.coupling.held import GaussSeidelStepper, JacobiStepper
 from congelation.cosim.coupling.hermite import HermiteStepper
 from congelation.cosim.grid import GivenPoints, Grid
-from congelation.cosim.session import Session, just_before
+from congelation.cosim.session import Session
 from congelation.cosim.step_control import Halving, Pace, StepSize
 
 __all__ = ["run_adaptive", "run_fixed"]
@@ -66,8 +66,9 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
     near, advance, record = points.near, session.stepper.advance, session.record
     event = session.next_event(session.start)
     if session.repeats and session.takes_back and len(ends := points.after(0, 1)):
-        first = min(float(ends[0]), just_before(event)) - session.start
-        require_restored(session.ensemble, session.stepper, state, session.start, first)
+        first = min(float(ends[0]), session.before(event)) - session.start
+        if first > 0.0:  # else a jump follows at once
+            require_restored(session.ensemble, session.stepper, state, session.start, first)
     compiled = _compiled(session, None)
     time, k = session.start, 0
     while len(ends := points.after(k, session.most)):
@@ -85,7 +86,7 @@ def run_fixed(session: Session, state: Any, points: Grid | GivenPoints) -> None:
         for end in ends.tolist():
             k += 1
             while event <= end + near:
-                before = min(just_before(event), end)
+                before = min(session.before(event), end)
                 after = max(event, end) if abs(end - event) <= near else event
                 if before > time:
                     state = advance(state, time, before)
@@ -173,7 +174,7 @@ def run_adaptive(
             if code != UNUSUAL:
                 continue
             refused = compiled.refused
-        target = min(session.stop, just_before(run.event))
+        target = min(session.stop, session.before(run.event))
         if run.time < target:
             tried, outcome = fitting_step(session, rules, run, target, refused)
             take(session, rules, run, tried, outcome, target)

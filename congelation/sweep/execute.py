@@ -207,7 +207,7 @@ def _simulated(
     # What is measured of a whole run.
     measured_case = Case(case.system, experiment)
     measured = points.with_rows(kept) if apart else kept
-    metrics = measure(scenario.metrics, measured_case, measured)
+    metrics, failed = measure(scenario.metrics, measured_case, measured)
     margins = [metrics[m.name] for m in scenario.metrics if m.metric == "lyapunov"]
     deviations = compare(expected, kept) if expected is not None else ()
     if margins and job.trajectories:
@@ -215,9 +215,11 @@ def _simulated(
 
         if CERTIFICATE not in found:  # a component may have the name
             kept = with_certificate(measured_case, kept)
+    outcome = _outcome(result)
     return replace(
-        _outcome(result),
-        message=" ".join([result.message, *unresolved(scenario.metrics, measured)]),
+        outcome,
+        status=ERROR if failed else outcome.status,
+        message=" ".join([result.message, *unresolved(scenario.metrics, measured), *failed]),
         metrics=metrics,
         worst_margin=max((m for m in margins if m is not None), default=None),
         deviations={deviation.variable: deviation.relative for deviation in deviations},

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.sinks import Memory, Sink
+from congelation.errors import CongelationError
 from congelation.results.record import Trajectory
 from congelation.scenario.metrics import metric, norm
 from congelation.scenario.parts import Case, MetricSpec
@@ -123,13 +124,36 @@ LOOP_METRICS: Mapping[str, Callable[[Case, Floats, Sequence[str], Floats], float
 
 def measure(
     specs: Sequence[MetricSpec], case: Case, trajectory: Trajectory
-) -> Mapping[str, float | None]:
-    """The metrics of a run that reached its stop time, by name; None where one has no answer."""
+) -> tuple[Mapping[str, float | None], tuple[str, ...]]:
+    """The metrics of a run that reached its stop time.
+
+    Returns
+    -------
+    values : mapping
+        By name; None where a metric has no answer, or its function fails.
+    failed : tuple of str
+        A line for each function that failed, as one that somebody else wrote may.
+
+    Raises
+    ------
+    CongelationError
+        If a metric cannot be of such a run.
+    """
     groups = {
         of: trajectory.select(trajectory.group(of))
         for of in dict.fromkeys(spec.of for spec in specs if not metric(spec.metric).loop)
     }
-    return {spec.name: _value(spec, case, trajectory, groups) for spec in specs}
+    values: dict[str, float | None] = {}
+    failed = []
+    for spec in specs:
+        values[spec.name] = None
+        try:
+            values[spec.name] = _value(spec, case, trajectory, groups)
+        except CongelationError:
+            raise
+        except Exception as error:  # whatever it is, the other metrics are kept
+            failed.append(f"metrics.{spec.name} ({spec.metric}): {type(error).__name__}: {error}")
+    return values, tuple(failed)
 
 
 UNRESOLVED = 0.2

@@ -104,6 +104,14 @@ def signals_fmu(folder: Path, *, fixed: bool = False) -> Path:
     )
 
 
+def early_fmu(folder: Path) -> Path:
+    """y = 1 from the time `at` on, which it announces, or by `margin` earlier."""
+    causalities = {"y": "output", "next_event": "output"}
+    outputs = "".join(f'<Unknown index="{k}" dependencies=""/>' for k in (1, 2))
+    described = _described("early", (*causalities, "at", "margin"), causalities, outputs)
+    return compile_fmu(folder / "early.fmu", "early.c", described)
+
+
 def _described(
     name: str, variables: Sequence[str], causalities: Mapping[str, str], outputs: str
 ) -> str:

@@ -58,6 +58,13 @@ def test_a_pair() -> None:
         assert found.stable_step == longest.step
 
 
+def test_a_pair_that_is_no_loop_has_no_steps() -> None:
+    """The controller of second order reads x[1] and x[2]; the scalar plant gives x."""
+    found = info(FMUS / "ScalarPlant.fmu", FMUS / "StateFeedbackController.fmu").pair
+    assert found.trials == ()
+    assert "has the name of StateFeedbackController.x[1], x[2]" in found.how
+
+
 def test_a_loop_that_needs_shorter_steps_than_its_whole_time_allows(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -6,7 +6,7 @@ import pytest
 
 from congelation.cosim import Component, Connection, Output, Status, System, simulate, stepping
 
-from .c_fmus import SOURCES, plain_fmu, signals_fmu
+from .c_fmus import SOURCES, early_fmu, plain_fmu, signals_fmu
 
 TOLERANCE = 1e-4
 
@@ -162,3 +162,24 @@ def test_states_that_are_not_restored_end_the_run_of_a_coupling_that_needs_them(
     chosen = simulate(loop, stop_time=1.0, tolerance=TOLERANCE, record=["a.y"])
     assert chosen.completed
     assert chosen.values[-1, 0] == pytest.approx(np.e, rel=1e-2)
+
+
+@pytest.mark.parametrize("coupling", ["auto", "derivative", "hermite"])
+@pytest.mark.parametrize("steps", [{"step": 0.1}, {"tolerance": TOLERANCE}])
+def test_a_source_that_jumps_a_little_before_the_time_it_announces(
+    tmp_path, coupling, steps, monkeypatch
+):
+    """x' = y, x(0) = 1, where y jumps to 1 at 0.35: by both loops."""
+    source = Component("s", early_fmu(tmp_path), {"at": 0.35, "margin": 1e-12})
+    sink = Component("i", plain_fmu(tmp_path, declares=True), {"b1": 1.0, "x0": 1.0})
+    connected = System((source, sink), (Connection.parse("s.y -> i.u1"),))
+    wanted = {"stop_time": 1.0, "coupling": coupling, "record": ["s.y", "i.y"], **steps}
+    result = simulate(connected, **wanted)
+    assert result.status is Status.COMPLETED
+    assert result.values[-1, 1] == pytest.approx(1.65, abs=1e-11)
+    assert np.array_equal(result.values[:, 0], result.time >= 0.35)
+    assert 0.35 in result.time
+    monkeypatch.setattr(stepping, "available", lambda: False)
+    again = simulate(connected, **wanted)
+    assert again.time.tolist() == result.time.tolist()
+    assert again.values.tolist() == result.values.tolist()

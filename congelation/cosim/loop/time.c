@@ -189,6 +189,12 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
     }
 }
 
+/* Session.before */
+static double left_of(double event, double horizon) {
+    const double units = 8.0 * unit_in_the_last_place(event), gap = 1e-9 * horizon;
+    return event - (gap > units ? gap : units);
+}
+
 /* Steps from *time on to the stop time, chosen by the tolerance, over the jumps, the first of which is at
    `memory->event`.
    On UNUSUAL the FMUs are where the step began, and Python makes it. On NOT_FINITE and UNSOLVED a jump,
@@ -198,7 +204,7 @@ EXPORT int run_adaptive(Loop *loop, const Plan *plan, Memory *memory, double *ti
     lay_out(loop, plan, states);
     loop->level = 0;
     while (*time < loop->stop) {
-        const double event = memory->event, before = just_before(event);
+        const double event = memory->event, before = left_of(event, plan->horizon);
         const double target = before < loop->stop ? before : loop->stop;
         if (!has_room(loop)) return FULL;
         if (*time >= target) {
