@@ -35,6 +35,7 @@ class SlavePool:
         self._idle: dict[tuple[str, str, bool], list[Slave]] = defaultdict(list)
         self._sessions: deque[tuple[object, Session]] = deque(maxlen=KEPT_SESSIONS)
         self._resets: dict[tuple[str, bool], str] = {}
+        self._worded: set[str] = set()  # hashes of FMUs of which runs have set Strings
 
     @cached_property
     def trials(self) -> SlavePool:
@@ -88,8 +89,15 @@ class SlavePool:
                 lent.append(self._take(member, exchange))
             yield lent
         finally:
-            for slave in lent:
+            for slave, member in zip(lent, members, strict=False):
                 self._put_back(slave)
+                sha256 = member.description.sha256
+                if sha256 not in self._worded and any(
+                    value.variable.type == "String" for value in member.start
+                ):
+                    # From now on, a reset has to bring Strings back, too.
+                    self._worded.add(sha256)
+                    self._resets.pop((sha256, exchange), None)
 
     def terminate(self) -> list[str]:
         """Call fmi2Terminate of each instance whose run has reached its end and that is not lent.
@@ -140,8 +148,9 @@ class SlavePool:
     def _is_as_new(self, slave: Slave, member: Member) -> bool:
         """Whether fmi2Reset makes an instance of this FMU as a new one is; looked at once.
 
-        Both are initialised with what the FMU says, and all that can be read is compared. Where
-        that is refused without the start values of the run, both are given those.
+        Both are initialised with what the FMU says, and all that can be read is compared; Strings
+        only where runs have set any, as some FMUs give addresses that hold none. Where that is
+        refused without the start values of the run, both are given those.
 
         Raises
         ------
@@ -150,12 +159,14 @@ class SlavePool:
         """
         description = slave.description
         key = description.sha256, slave.exchange
+        kinds: tuple[str, ...] = ("Real", "Integer", "Boolean", "String")
+        kinds = kinds if description.sha256 in self._worded else kinds[:3]
         if key not in self._resets:
             differs = "what it does cannot be compared with that of a new one"
             for start in ((), member.start):
                 new = Slave(slave.name, description, exchange=slave.exchange)
                 try:
-                    fresh, again = _initial_values(new, start), _initial_values(slave, start)
+                    fresh, again = (_initial_values(s, start, kinds) for s in (new, slave))
                 except SlaveError:
                     slave.reset()
                     continue
@@ -177,8 +188,10 @@ class SlavePool:
             self._idle[slave.name, slave.description.sha256, slave.exchange].append(slave)
 
 
-def _initial_values(slave: Slave, start: tuple[StartValue, ...]) -> dict[str, Scalar]:
-    """All variables in initialization mode, by name.
+def _initial_values(
+    slave: Slave, start: tuple[StartValue, ...], kinds: Sequence[str]
+) -> dict[str, Scalar]:
+    """All variables of these types in initialization mode, by name.
 
     Raises
     ------
@@ -188,7 +201,7 @@ def _initial_values(slave: Slave, start: tuple[StartValue, ...]) -> dict[str, Sc
     slave.set_values(start)
     slave.enter_initialization()
     found: dict[str, Scalar] = {}
-    for kind in ("Real", "Integer", "Boolean", "String"):
+    for kind in kinds:
         variables = [
             v
             for v in slave.description.variables.values()

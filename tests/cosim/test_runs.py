@@ -22,6 +22,7 @@ from congelation.cosim import (
 from congelation.cosim.coupling import Hermite
 from congelation.cosim.experiment import step_count
 from congelation.errors import InvalidInput
+from congelation.fmi.slave import Slave
 from congelation.scenario.load import load_scenario
 from tests.scenarios import ROOT
 
@@ -385,3 +386,27 @@ def test_a_pool_keeps_what_is_set_up_and_nothing_of_earlier_runs() -> None:
             assert replace(found.statistics, wall_time=0.0) == replace(
                 wanted.statistics, wall_time=0.0
             )
+
+
+def test_strings_of_reset_instances_are_read_only_where_runs_set_them(fmus, monkeypatch):
+    """Some FMUs (libcosim's quarter truck) give addresses of Strings that hold none."""
+    kinds, get_values = [], Slave.get_values
+
+    def noted(self, kind, references):
+        kinds.append(kind)
+        return get_values(self, kind, references)
+
+    monkeypatch.setattr(Slave, "get_values", noted)
+    file = fmus / "TestDiscrete.fmu"
+    plain, worded = (System((Component("a", file, start),)) for start in ({}, {"s_in": "x"}))
+    read = []
+    with SlavePool() as pool:
+        for system in (plain, plain, worded, plain, plain):
+            kinds.clear()
+            result = simulate(
+                system, stop_time=2.0, step=1.0, coupling="jacobi", record=["a.y"], pool=pool
+            )
+            assert result.completed
+            read.append(("Integer" in kinds, "String" in kinds))
+    # Instances are compared before the first use again, and anew once a String was set.
+    assert read == [(False, False), (True, False), (False, False), (True, True), (False, False)]
