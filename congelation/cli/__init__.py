@@ -96,6 +96,15 @@ def main(arguments: Sequence[str] | None = None, ready: Callable[[], None] = lam
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
+        # The shell's --out "$FOLDER" with nothing in it would be the folder that it is called from.
+        for before, word in zip(["", *words], words, strict=False):
+            option, sign, value = word.partition("=")
+            if not word or (word.startswith("--") and sign and not value):
+                where = option or before
+                raise InvalidInput(
+                    f"an argument is empty{' after ' + where if where else ''}; give it a value, "
+                    "or leave it out"
+                )
         try:
             _app(_called(words))(words)
         finally:

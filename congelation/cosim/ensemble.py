@@ -68,6 +68,9 @@ class Ensemble:
         Which of the saved states `save` and `restore` work on; those of another level are kept.
     calls : int
         fmi2 calls made, those of the steps' regular pattern left out; see Stepper.
+    strays : dict of str
+        By the name of an output that has driven an input with a value that is no item of its own
+        enumeration: a sentence on the first of them.
     """
 
     def __init__(
@@ -121,6 +124,7 @@ class Ensemble:
         self.system = system
         self.stepping = False
         self.calls = 0
+        self.strays: dict[str, str] = {}
         self.level = 0
         self._states: dict[int, list[tuple[Slave, State]]] = {}
         self.Y[:] = 0.0
@@ -227,12 +231,22 @@ class Ensemble:
         }
         return bool(held) and any(names is None or held.intersection(names) for names in known)
 
-    def copy_discrete(self, values: Sequence[float | int | bool | str] | None = None) -> None:
+    def copy_discrete(
+        self, time: float, values: Sequence[float | int | bool | str] | None = None
+    ) -> None:
         """Set the inputs that are driven by discrete links, to the values of their
         sources as they are now if no others are given."""
         # All are read before any is set, so that the order of the connections does not matter.
         values = self.discrete_values() if values is None else values
         for link, value in zip(self.system.discrete_links, values, strict=True):
+            if link.output.items and all(value != item for _, item in link.output.items):
+                name = f"{self.slaves[link.source].name}.{link.output.name}"
+                valid = ", ".join(f"'{item}' ({number})" for item, number in link.output.items)
+                self.strays.setdefault(
+                    name,
+                    f"{name} is {value} at t = {time:.9g}, no item of its enumeration "
+                    f"({valid}); it was passed on as it is.",
+                )
             sent = link.factor * value + link.offset if link.converts else value  # type: ignore[operator]
             self.slaves[link.target].set_value(link.input, sent)
 

@@ -233,7 +233,7 @@ def settle_discrete(ensemble: Ensemble, time: float) -> None:
     links = ensemble.system.discrete_links
     values = ensemble.discrete_values()
     for _ in range(MAX_DISCRETE_PASSES):
-        ensemble.copy_discrete(values)
+        ensemble.copy_discrete(time, values)
         if not ensemble.discrete_feedthrough:
             return
         before, values = values, ensemble.discrete_values()

@@ -217,7 +217,8 @@ def perform(
             status, message = _ended(session, experiment, points)
             statistics = session.statistics(clock.perf_counter() - begin)
             if status is Status.COMPLETED:
-                message = " ".join([message, *(f"{k}." for k in lender.renewed(resolved.members))])
+                renewed = (f"{k}." for k in lender.renewed(resolved.members))
+                message = " ".join([message, *session.ensemble.strays.values(), *renewed])
         except SlaveError as error:
             status, message = Status.SLAVE_FAILED, str(error)
     if os.getcwd() != folder:

@@ -125,7 +125,7 @@ class Store:
         check_folder("results", self.root)
         check_folder("results", self.root / "trajectories")
         with self._errors():
-            if not self.database.is_file():
+            if not os.path.isfile(self.database):
                 self._make_database()
             connection = sqlite3.connect(self.database, timeout=BUSY, isolation_level=None)
             connection.execute("PRAGMA journal_mode=WAL")
@@ -249,7 +249,7 @@ class Store:
 
     def _planner(self) -> sqlite3.Connection:
         """A connection that can plan and writes nothing into the directory."""
-        if self.database.is_file():
+        if os.path.isfile(self.database):
             self._connection = self._reader()
         else:
             self._refuse_old()
@@ -261,7 +261,7 @@ class Store:
 
     def count(self, study: str | None = None) -> int:
         """Number of finished runs; 0 where there is no result directory."""
-        if not self.database.is_file():
+        if not os.path.isfile(self.database):
             self._refuse_old()
             return 0
         ((count,),) = self.query("SELECT count(*) FROM runs {where}", study)
@@ -313,7 +313,7 @@ class Store:
     def without_trajectory(self, run_ids: Iterable[str]) -> list[str]:
         """Those of the runs whose trajectory is not in the directory."""
         folder = self.trajectory_file("").parent
-        there = {file.stem for file in folder.iterdir()} if folder.is_dir() else set()
+        there = {file.stem for file in folder.iterdir()} if os.path.isdir(folder) else set()
         return [run_id for run_id in run_ids if run_id not in there]
 
     def find(self, run_id: str) -> str:
@@ -351,7 +351,7 @@ class Store:
     # -- helpers ------------------------------------------------------------------------------
 
     def _refuse_old(self) -> None:
-        if (self.root / "parts").is_dir() and not self.database.is_file():
+        if os.path.isdir(self.root / "parts") and not os.path.isfile(self.database):
             raise InvalidInput(
                 f"{self.root} holds results of an earlier version of congelation, which this one "
                 "does not read; give another folder"
@@ -378,7 +378,7 @@ class Store:
 
     def _reader(self) -> sqlite3.Connection:
         self._refuse_old()
-        if not self.database.is_file():
+        if not os.path.isfile(self.database):
             raise InvalidInput(
                 f"{self.root} is no result directory: {self.database} does not exist"
             )
@@ -400,7 +400,7 @@ class Store:
             self.create()
         connection = cast(sqlite3.Connection, self._connection)
         with self._errors():
-            if not self.database.is_file():  # SQLite would go on in a file without a name
+            if not os.path.isfile(self.database):  # SQLite would go on in a file without a name
                 raise StoreError(
                     f"{self.database} was removed while a study wrote into it; its runs are lost: "
                     "run it again"

@@ -79,8 +79,12 @@ class SettingsReader:
         """Raise InvalidInput where a start value of component `name` is of a connected input."""
         for variable in values:
             if link := self.driven.get(f"{name}.{variable}"):
+                # Couplings set the inputs der(v), der(v,2), .. of a connected input v with it.
+                along = not link.endswith(f"-> {name}.{variable}")
+                how = "sets it along with the value, to 0 where inputs are held" if along else ""
                 raise section.within(
-                    f"'{variable}' has no effect, as '{link}' drives it; leave one of them out"
+                    f"'{variable}' has no effect, as '{link}' {how or 'drives it'}; leave one of "
+                    "them out"
                 )
 
     def _experiment(self, section: Section) -> dict[str, Scalar]:

@@ -438,3 +438,19 @@ def test_what_a_completed_run_has_to_say_is_told(tmp_path: Path) -> None:
         "metric ise_theta, as the signal turns between them; give an output_interval or a shorter "
         "step."
     )
+
+
+def test_a_folder_whose_name_is_too_long_or_empty_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    file = write(tmp_path, SCALAR)
+    long = "a" * 300
+    assert f"results {long}: no files can be written there (File name too long)" in one_line(
+        congelation("run", file, "--out", long), 2
+    )
+    for words in (["--out", ""], ["--out="]):
+        assert one_line(congelation("run", file, *words), 2) == (
+            "congelation: an argument is empty after --out; give it a value, or leave it out"
+        )
+    assert [entry.name for entry in tmp_path.iterdir()] == ["loop.toml"]

@@ -2,8 +2,11 @@
 once, against loops written out."""
 
 import itertools
+import shutil
+import zipfile
 
 import pytest
+from lxml import etree
 
 from congelation.cosim import Component, Connection, Output, Sampled, Status, System, simulate
 
@@ -112,6 +115,37 @@ def test_a_loop_through_real_and_boolean_values_that_does_not_settle(fmus):
     )
     settled = run(fmus, "de", links, record=["e.w"], d={"level": 0.5})
     assert settled.values.tolist() == [[0.0]] * 4
+
+
+@pytest.mark.parametrize("coupling", COUPLINGS, ids=str)
+def test_an_output_that_is_no_item_of_its_enumeration_is_named(fmus, tmp_path, coupling):
+    """A counter 0, 1, 2, 3 whose output is declared to be off, low or high."""
+    folder = tmp_path / "fmus"
+    folder.mkdir()
+    shutil.copy(fmus / "TestLogic.fmu", folder)
+    with zipfile.ZipFile(fmus / "TestDiscrete.fmu") as archive:
+        files = {name: archive.read(name) for name in archive.namelist()}
+    root = etree.fromstring(files["modelDescription.xml"])
+    for tag in root.findall(".//ScalarVariable[@name='n_out']/Integer"):
+        tag.tag = "Enumeration"
+        tag.set("declaredType", "Level")
+    types = etree.Element("TypeDefinitions")
+    level = etree.SubElement(etree.SubElement(types, "SimpleType", name="Level"), "Enumeration")
+    for value, name in enumerate(["off", "low", "high"]):
+        etree.SubElement(level, "Item", name=name, value=str(value))
+    root.find("ModelVariables").addprevious(types)
+    files["modelDescription.xml"] = etree.tostring(root)
+    with zipfile.ZipFile(folder / "TestDiscrete.fmu", "w") as archive:
+        for name, data in files.items():
+            archive.writestr(name, data)
+    links = ["s.n_out -> s.n_in", "s.n_out -> f.n_in"]
+    result = run(folder, "sf", links, coupling, ["s.n_out", "f.n_out"])
+    assert result.values.tolist() == [[n, n + 1] for n in range(4)]
+    valid = "'off' (0), 'low' (1), 'high' (2)"
+    assert result.message == (
+        f"{Status.COMPLETED.value} s.n_out is 3 at t = 3, no item of its enumeration ({valid}); "
+        "it was passed on as it is."
+    )
 
 
 @pytest.mark.parametrize("coupling", ["jacobi", "derivative"])

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from congelation.cosim.system import Component
+from congelation.cosim.master import simulate
+from congelation.cosim.system import Component, System
 from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Case, Scenario, Variant
@@ -414,6 +415,12 @@ MISTAKES = {
         "k_bar = 0.5, x = 123",
         "components.controller.start: 'x' has no effect, as 'plant.x -> controller.x' drives it",
     ),
+    "start value of a derivative that the coupling sends": (
+        "k_bar = 0.5",
+        '"der(x)" = 1, k_bar = 0.5',
+        "components.controller.start: 'der(x)' has no effect, as 'plant.x -> controller.x' sets it "
+        "along with the value, to 0 where inputs are held; leave one of them out",
+    ),
     "infinite start value": (
         "{x0 = [1.0]}",
         "{x0 = [inf]}",
@@ -497,6 +504,26 @@ def test_mistakes_are_told_with_their_place(
     assert text.startswith(f"{file}: ")
     assert message in text
     assert "\n" not in text
+
+
+def test_start_values_of_derivatives_have_no_effect_where_inputs_are_held() -> None:
+    """That is why scenarios refuse them under each coupling."""
+    ends = [
+        simulate(
+            System(
+                (
+                    Component("plant", FMUS / "ScalarPlant.fmu", {"x0": [1.0]}),
+                    Component("controller", FMUS / "ScalarController.fmu", start),
+                ),
+                ("plant.x -> controller.x", "controller.u -> plant.u"),
+            ),
+            stop_time=0.1,
+            step=0.05,
+            coupling="jacobi",
+        ).values[-1]
+        for start in ({}, {"der(x)": 100.0})
+    ]
+    assert ends[0].tolist() == ends[1].tolist()
 
 
 def test_without_any_fmu_the_build_command_is_named(

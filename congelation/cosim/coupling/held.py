@@ -268,7 +268,7 @@ class _SampledStepper(Stepper[Samples]):
             ensemble.Y.take(ensemble.source, out=ensemble.C[0], mode="clip")
             for write in ensemble.write:
                 write()
-            ensemble.copy_discrete()
+            ensemble.copy_discrete(time)
             ensemble.calls += sum(ensemble.write_calls)
         ensemble.Y.take(ensemble.source, out=self._watch.row(time), mode="clip")
 
