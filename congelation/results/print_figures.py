@@ -115,7 +115,8 @@ def draw(
     chosen = next(iter(figures), "") if name is None else name
     if not figures:
         raise InvalidInput(
-            f"there is no figure '{chosen}': this study defines none; plot() draws what was recorded"
+            f"there is no figure '{chosen}': this study defines none; plot() draws what was "
+            "recorded"
         )
     if chosen not in figures:
         raise InvalidInput(f"there is no figure '{chosen}'; {nearest(chosen, figures)}")
