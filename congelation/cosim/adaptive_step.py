@@ -53,6 +53,10 @@ LEAST_BETWEEN = 1e-3
 """The same for FMUs that cannot be set back, where it is the tolerance if that is larger: changes
 are late by up to a step."""
 
+LONGEST_UNANNOUNCED = 2e-2
+"""The same where an FMU does not announce when its outputs jump: what begins and ends within one
+step, after a time in which nothing moved, is not seen."""
+
 MOST_IN_A_ROW = 8
 """Located changes of discrete values in so many steps, one right after the other, from which on
 they are not located: such a value does not stay constant between events."""
@@ -77,6 +81,8 @@ class Rules:
         Whether all FMUs can save their state, so that a step can be taken back.
     switches : bool
         Whether connections are discrete.
+    announced : bool
+        Whether all FMUs announce when their outputs jump.
     keeps, halves, predicts : bool
         As of the stepper.
     """
@@ -85,6 +91,7 @@ class Rules:
     horizon: float
     takes_back: bool
     switches: bool
+    announced: bool
     keeps: bool
     halves: bool
     predicts: bool
@@ -98,6 +105,7 @@ class Rules:
             session.stop - session.start,
             session.takes_back,
             bool(session.ensemble.system.discrete_links),
+            all(member.description.announces for member in session.ensemble.system.members),
             stepper.keeps,
             stepper.halves,
             stepper.predicts,
@@ -110,10 +118,10 @@ class Rules:
 
     @property
     def longest(self) -> float:
-        """Longest step, in seconds: discrete values may change within it."""
-        if not self.switches:
-            return math.inf
-        share = LONGEST_BETWEEN if self.takes_back else max(self.tolerance, LEAST_BETWEEN)
+        """Longest step, in seconds: values may jump, and back again, within it."""
+        share = math.inf if self.announced else LONGEST_UNANNOUNCED
+        if self.switches:
+            share = LONGEST_BETWEEN if self.takes_back else max(self.tolerance, LEAST_BETWEEN)
         return share * self.horizon
 
 

@@ -6,6 +6,7 @@ step is taken back, the new one is dropped and the FMUs are restored.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -247,6 +248,7 @@ def _new_compiled(
         1.0 if rules is None else rules.tolerance,
         stepper.first_change,
         rules.shortest if rules is not None and rules.keeps else 0.0,
+        math.inf if rules is None else rules.longest,
         session.start,
         session.stop,
     )

@@ -8,7 +8,7 @@ import os
 import stat
 import zipfile
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -129,6 +129,9 @@ class Description:
         Those that the FMU defines, the ones that it displays included.
     open_inputs : frozenset of str
         Inputs that the FMU says are meant to be left alone, by an annotation of this project.
+    announces : bool
+        Whether its outputs jump of themselves only when `next_event` has said so: it has such an
+        output, or is of this project.
     proposed_step : float or None
         Communication step that the FMU proposes (DefaultExperiment), in seconds.
     equations : Equations or None
@@ -148,6 +151,7 @@ class Description:
     max_output_derivative_order: int
     units: Mapping[str, Unit] = field(default_factory=dict)
     open_inputs: frozenset[str] = frozenset()
+    announces: bool = False
     proposed_step: float | None = None
     equations: Equations | None = None
 
@@ -347,6 +351,7 @@ def _described(
         max_output_derivative_order=simulation.maxOutputDerivativeOrder,
         units=MappingProxyType(_units(model)),
         open_inputs=_open_inputs(root),
+        announces=_announces(root, counts),
         proposed_step=_proposed_step(model),
         equations=_equations(model),
     )
@@ -402,6 +407,12 @@ def _units(model: fmpy.model_description.ModelDescription) -> dict[str, Unit]:
 def _converts(factor: float, offset: float) -> bool:
     """Whether values can be converted both ways."""
     return factor != 0.0 and math.isfinite(factor) and math.isfinite(offset)
+
+
+def _announces(root: etree._Element, names: Container[str]) -> bool:
+    """Whether the FMU has the output `next_event`, or this project's annotation."""
+    of_ours = root.find(f"VendorAnnotations/Tool[@name='{ANNOTATION}']") is not None
+    return of_ours or EVENT in names
 
 
 def _open_inputs(root: etree._Element) -> frozenset[str]:

@@ -14,6 +14,7 @@ PLAIN = Rules(
     horizon=10.0,
     takes_back=True,
     switches=False,
+    announced=True,
     keeps=False,
     halves=False,
     predicts=False,
@@ -107,6 +108,7 @@ def test_the_step_after_one_that_was_tried(outcome, step, rules, length):
     [
         (PLAIN, 1e-4, math.inf),
         (changed(tolerance=1e-6), 1e-5, math.inf),
+        (changed(announced=False), 1e-4, 0.2),
         (changed(switches=True), 1e-4, 0.1),
         (changed(FORWARD, switches=True), 1e-4, 1e-2),
         (changed(FORWARD, switches=True, tolerance=5e-3), 5e-4, 5e-2),

@@ -218,7 +218,7 @@ def test_a_rejected_step_leaves_no_trace(loop, coupling, monkeypatch):
 
 def test_a_step_that_an_fmu_discards_is_tried_shorter(fmus):
     file = fmus / "TestFaulty.fmu"
-    system = System((Component("f", file, {"r": -1.0, "longest": 0.05}),))
+    system = System((Component("f", file, {"r": -1.0, "longest": 0.01}),))
     result = simulate(
         system, stop_time=1.0, step=0.2, tolerance=1e-4, coupling="hermite", record=["f.y"]
     )

@@ -44,6 +44,20 @@ def test_an_integrator_at_the_end_of_a_chain_is_as_accurate_as_the_tolerance_say
 
 
 @pytest.mark.parametrize("coupling", ["auto", "derivative", "hermite"])
+def test_a_pulse_after_rest_that_nobody_announces_is_seen(fmu, coupling):
+    """x' = the pulse, in a tenth of the time."""
+    result = simulate(
+        system(fmu, "s.s -> i.u", s={"fault": 3.0}),
+        stop_time=10.0,
+        tolerance=TOLERANCE,
+        coupling=coupling,
+        record=["i.x"],
+    )
+    assert result.status is Status.COMPLETED
+    assert result.values[-1, 0] == pytest.approx(1.0, abs=10.0 * TOLERANCE)
+
+
+@pytest.mark.parametrize("coupling", ["auto", "derivative", "hermite"])
 @pytest.mark.parametrize(
     ("link", "T", "exact", "jumps"),
     [

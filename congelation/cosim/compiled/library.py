@@ -9,7 +9,7 @@ from pathlib import Path
 
 __all__ = ["VERSION", "available", "load_library", "loaded"]
 
-VERSION = 7
+VERSION = 8
 """Version of the library that fits these structures; as in loop/loop.c."""
 
 

@@ -38,6 +38,8 @@ class CompiledPolynomials(Compiled):
         Share of its size by which an input may change over the first step after a jump.
     shortest_kept : float
         Longest step that Python is to make where its error is too large, in seconds; 0 for none.
+    longest : float
+        Longest step that is made, in seconds.
     start, stop : float
         Of the run, in seconds.
     """
@@ -52,6 +54,7 @@ class CompiledPolynomials(Compiled):
         tolerance: float,
         first_change: float,
         shortest_kept: float,
+        longest: float,
         start: float,
         stop: float,
     ) -> None:
@@ -89,6 +92,7 @@ class CompiledPolynomials(Compiled):
             tolerance=tolerance,
             first_change=first_change,
             shortest_kept=shortest_kept,
+            longest=longest,
             horizon=stop - start,
             work=self._address(
                 np.zeros(self.library.work_size(links, unknowns, len(ensemble.judged)))

@@ -136,7 +136,7 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
     const long saving = loop->calls - before_saving;
     memory->refused_length = 0.0;
     for (;;) {
-        *end = end_of(time, memory->step, target);
+        *end = end_of(time, memory->step < plan->longest ? memory->step : plan->longest, target);
         const double length = *end - time;
         Trial trial;
         const long calls = loop->calls, passes = loop->passes;

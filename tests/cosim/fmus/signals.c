@@ -1,7 +1,8 @@
 /* Signals of time, and x' = a x + u + switch + level, which is solved exactly for held inputs:
    s = sin(w t), held = sin(5 k / 10) since t = k / 10, z = cos(50 t) with its derivative,
    on = t >= 0.3337, count = floor(10 t). With `fault` 1 the derivative of z is no number; with 2 the FMU
-   refuses steps that do not begin where the last one ended, and saved states are without its time. */
+   refuses steps that do not begin where the last one ended, and saved states are without its time;
+   with 3, s is 1 from t = 3.3 to 4.3 and otherwise 0. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -49,7 +50,7 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
     Model *m = c;
     for (size_t i = 0; i < n; i++) switch (r[i]) {
         case X: value[i] = m->x; break;
-        case S: value[i] = sin(m->v[W] * m->t); break;
+        case S: value[i] = m->v[FAULT] == 3 ? m->t >= 3.3 && m->t < 4.3 : sin(m->v[W] * m->t); break;
         case HELD: value[i] = sin(0.5 * counted(m)); break;
         case Z: value[i] = cos(50.0 * m->t); break;
         case SLOPE: value[i] = m->v[FAULT] == 1 ? NAN : -50.0 * sin(50.0 * m->t); break;
