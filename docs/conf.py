@@ -55,8 +55,12 @@ napoleon_use_ivar = True
 html_math_renderer = "mathml"
 LONG_FORMULA, LONG_CELL, SHORT_CELL, SHORT_CODE = 70, 60, 18, 24  # characters
 MANY_COLUMNS = 6
-FOLLOWING = (["rule", "level", "section", "demand"], ["equation", "formula", "function"])
-LABELLED = ("default", "start", "unit")  # columns whose head a phone repeats in each cell
+FOLLOWING = (
+    ["rule", "level", "section", "demand"],
+    ["finding", "FMUs", "section", "the sentence, and the judgement"],
+    ["equation", "formula", "function"],
+)
+LABELLED = ("default", "start", "unit", "FMUs")  # columns whose head a phone repeats in each cell
 
 
 def formula(translator, node: nodes.math | nodes.math_block) -> None:  # type: ignore[no-untyped-def]
@@ -86,8 +90,9 @@ def widths(app: Sphinx, document: nodes.document, page: str) -> None:
         if columns >= MANY_COLUMNS:
             table["classes"].append("dense")
         head, *rows = table.findall(nodes.row)
-        generated = page.startswith("generated/") and columns > 2
-        if generated or [name.astext() for name in head] in FOLLOWING:
+        names = [name.astext() for name in head]
+        described = page.startswith("generated/") and columns > 2 and "what it is" in names
+        if described or names in FOLLOWING:
             # On a phone, which has room for two columns, the cells of a row follow each other.
             table["classes"].append("stacked")
             for row in rows:
