@@ -320,7 +320,12 @@ STRUCTURE = Table(
 )
 
 _NAME = Key("name", "text", "of the FMU: a C identifier; by default that of the form")
-_START = Key("start", "table", "defaults of its parameters", table=VALUES)
+_START = Key(
+    "start",
+    "table",
+    "defaults of its parameters, as numbers alone, in the units of the table units",
+    table=VALUES,
+)
 
 CONTROLLER = Table("The controller's FMU.", (_NAME, _START))
 PLANT = Table(

@@ -362,8 +362,8 @@ _EMPTY = {kind: _READERS[kind] for kind in ("table", "tables")}
 """Where these are left out, there is an empty one."""
 
 
-def read_document(file: Path) -> tuple[str, Section]:
-    """The text of a TOML file, and its outermost table.
+def read_document(file: Path, kind: str = "scenario") -> tuple[str, Section]:
+    """The text of a TOML file, and its outermost table; `kind` is what it is meant to be.
 
     Raises
     ------
@@ -377,7 +377,7 @@ def read_document(file: Path) -> tuple[str, Section]:
     try:
         text = file.read_text(encoding="utf-8-sig")  # with or without a byte order mark
     except FileNotFoundError as error:
-        raise InvalidInput(f"{file}: no such file; {_neighbours(file)}") from error
+        raise InvalidInput(f"{file}: no such file; {_neighbours(file, kind)}") from error
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         raise InvalidInput(
@@ -417,6 +417,6 @@ def _archive_kind(file: Path) -> str:
     return "a ZIP archive; give a TOML file"
 
 
-def _neighbours(file: Path) -> str:
+def _neighbours(file: Path, kind: str) -> str:
     names = [p.name for p in sorted(file.parent.glob("*.toml"))] if file.parent.is_dir() else []
-    return nearest(file.name, names) if names else "give the path of a scenario (.toml)"
+    return nearest(file.name, names) if names else f"give the path of a {kind} (.toml)"

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from congelation.arguments import check_fields
 from congelation.errors import InvalidInput, counted, nearest
-from congelation.fmi.description import Description, Variable
+from congelation.fmi.description import EVENT, Description, Variable
 from congelation.fmi.start_values import StartValue
 from congelation.fmi.units import Conversion, conversion
 
@@ -23,6 +24,9 @@ __all__ = [
 
 MAX_DERIVATIVE = 3
 """Highest derivative that an input takes: cubic polynomials."""
+
+MOST_ENDS = 12
+"""Inputs or outputs that a message lists."""
 
 
 @dataclass(frozen=True)
@@ -145,14 +149,37 @@ def elements_of(description: Description, name: str, place: str) -> tuple[Variab
     return elements or (description.variable(name, place),)
 
 
+def _end(description: Description, name: str, causality: str, place: str) -> tuple[Variable, ...]:
+    """As `elements_of` of an end of a connection; where no name is near, those of this causality
+    are listed, vectors by their names alone."""
+    try:
+        return elements_of(description, name, place)
+    except InvalidInput:
+        bare = (
+            other.partition("[")[0]
+            for other, variable in description.variables.items()
+            if variable.causality == causality
+            and other not in description.open_inputs
+            and not other.startswith(("der(", EVENT))
+        )
+        ends = list(dict.fromkeys(bare))
+        near = difflib.get_close_matches(name, description.variables, n=1, cutoff=0.4)
+        if near or not 0 < len(ends) <= MOST_ENDS:
+            raise
+        raise InvalidInput(
+            f"{place}: {description.path.name} has no variable '{name}'; its {causality}s are: "
+            + ", ".join(ends)
+        ) from None
+
+
 def _links(
     connection: Connection, members: Sequence[Member], names: Sequence[str]
 ) -> Iterable[Link]:
     place = f"connection '{connection}'"
     source, output_name = split_name(connection.source, names, place)
     target, input_name = split_name(connection.target, names, place)
-    outputs = elements_of(members[source].description, output_name, place)
-    inputs = elements_of(members[target].description, input_name, place)
+    outputs = _end(members[source].description, output_name, "output", place)
+    inputs = _end(members[target].description, input_name, "input", place)
     for output, input_ in _pairs(outputs, output_name, inputs, input_name, place):
         _check_pair(output, input_, place)
         converted = _conversion(members[source], output, members[target], input_, place)

@@ -199,7 +199,7 @@ def read_buildable(file: Path) -> Spec | BlockSpec:
     InvalidInput
         Naming the file, the path in it, and what would be valid.
     """
-    _, top = read_document(file)
+    _, top = read_document(file, "spec")
     if "components" in top.data and "form" not in top.data:
         raise InvalidInput(f"{file}: this is a scenario (congelation run {file}); give a spec")
     read = top.read(keys.SPEC)
@@ -321,6 +321,13 @@ def _block(section: Section, model: Model, special: Special | None) -> FmuSpec:
     if not name.isidentifier():
         raise section.wrong("name", "a C identifier: letters, digits and _")
     start: Section = read["start"]
+    for key, value in start.data.items():
+        if isinstance(value, Mapping):
+            raise start.error(
+                key,
+                f"= {shown(value)} is not valid; give numbers alone: a spec takes them in the "
+                "units of its table [units], and times in seconds",
+            )
     changed = start.attempt("", lambda: model.with_defaults(start.data))
     # An FMU whose own defaults it would refuse is not built.
     start.attempt("", lambda: _check_defaults(model, start.data, special))

@@ -11,6 +11,7 @@ import scipy
 from numpy.typing import NDArray
 
 from congelation.export.spec import Spec
+from congelation.fmi.units import unit_named
 from congelation.signals import Profile
 from congelation.theory.assumptions import KnownTheta, Remark, remarks_on
 from congelation.theory.model import Model
@@ -86,7 +87,20 @@ def spec_assumptions(spec: Spec) -> tuple[Remark, ...]:
 
 def spec_warnings(spec: Spec) -> tuple[str, ...]:
     """One line for each remark on a spec: where, what, and what would do."""
-    return tuple(str(remark) for remark in spec_assumptions(spec))
+    remarks = tuple(str(remark) for remark in spec_assumptions(spec))
+    theta = spec.plant.model.theta
+    kinds: dict[tuple[int, ...], dict[float, str]] = {}
+    for name in () if theta is None else filter(None, theta.units):
+        unit = unit_named(name)
+        if unit.exponents is not None:
+            kinds.setdefault(unit.exponents, {}).setdefault(unit.factor, name)
+    mixed = tuple(
+        f"units.theta: {' and '.join(map(repr, same.values()))} measure the same, and delta is the "
+        "radius over the numbers of all; give one of them"
+        for same in kinds.values()
+        if len(same) > 1
+    )
+    return (*remarks, *mixed)
 
 
 def degree_of(form: str, structure: Mapping[str, object]) -> int | None:

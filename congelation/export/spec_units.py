@@ -71,8 +71,11 @@ def read_units(section: Section, form: str, structure: Structure, *models: Model
             section.attempt(name, partial(base_unit, unit or "1"))
         units[name] = value if isinstance(value, str) else names
         stated |= {n: unit for n, unit in zip(scalars[name], names, strict=True) if unit}
+    followed: dict[str, str] = {}
     for fit in _FITS.get(form, _none)(structure, {n: factors(u) for n, u in stated.items()}):
-        if fit.unit is not None and fit.name in stated:
+        if fit.unit is not None and fit.name not in stated:
+            followed[fit.name] = unit_of_factors(fit.unit)
+        elif fit.unit is not None:
             expected = unit_of_factors(fit.unit)
             if not _equal(stated[fit.name], expected):
                 name = fit.name if fit.name in section.data else fit.name.partition("[")[0]
@@ -88,6 +91,17 @@ def read_units(section: Section, form: str, structure: Structure, *models: Model
         shared = units["theta"]
         own = shared if isinstance(shared, str) else shared[: len(scalars["theta_hat"])]
         units = {"theta_hat": own, **units}
+    # Where all that a radius is over is measured alike, it is measured so, too.
+    for name, source, first in _radii(form, structure):
+        of = units.get(source, "")
+        alike = {of} if isinstance(of, str) else set(of[first:])
+        if len(alike) == 1 and alike != {""} and "Upsilon" not in structure:
+            units |= {name: alike.pop()}
+    z = scalars.get("z", ())
+    if z and all(name in followed for name in z):
+        units["z"] = [followed[name] for name in z]
+    if stated and form in ("strict-feedback", "observer"):
+        units["c"] = "1/s"  # z_i' = -c_i z_i + ..
     for name, source in _FOLLOWERS.items():
         if source in units and name not in scalars:
             units[name] = units[source]
@@ -95,6 +109,13 @@ def read_units(section: Section, form: str, structure: Structure, *models: Model
         units |= {"q": units["yr"]}
         units |= dict.fromkeys(("r", "offset", "amplitude"), stated["yr[0]"])
     return units
+
+
+def _radii(form: str, structure: Structure) -> Iterator[tuple[str, str, int]]:
+    """The radii, each with what it is over and the place of the first element that counts."""
+    yield "theta_bound", "theta_hat", 0
+    # Of the plant (27) it is that of a, which follows b_m .. b_0.
+    yield "delta", "theta_hat", int(structure["m"]) + 1 if form == "observer" else 0
 
 
 _FOLLOWERS = {

@@ -206,7 +206,8 @@ def _table(group: tuple[VariableInfo, ...]) -> list[str]:
             continue
         first, last = members[0], members[-1]
         name = first.name if first is last else f"{first.name} .. {last.name.removeprefix(key)}"
-        units = list(dict.fromkeys(v.unit for v in members))
+        units = [v.unit for v in members]
+        units = units[:1] if len(set(units)) == 1 else [unit or "1" for unit in units]
         starts = [v.start for v in members if v.start is not None]
         # Equal values of a vector are said once.
         shown = starts[:1] if len(set(starts)) == 1 else starts

@@ -113,6 +113,11 @@ def draw(
     """
     figures = {str(f["name"]): f for f in study.about["figures"]}
     chosen = next(iter(figures), "") if name is None else name
+    if not figures:
+        raise InvalidInput(
+            f"there is no figure '{chosen}': this study defines none; plot() draws what was "
+            "recorded"
+        )
     if chosen not in figures:
         raise InvalidInput(f"there is no figure '{chosen}'; {nearest(chosen, figures)}")
     about = figures[chosen]

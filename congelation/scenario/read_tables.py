@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import difflib
 import os
+import shlex
+import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -11,7 +14,7 @@ from typing import Any
 
 from congelation import keys
 from congelation.cosim.system import Component, Connection, Recorded, ResolvedSystem, System
-from congelation.errors import InvalidInput, nearest
+from congelation.errors import InvalidInput
 from congelation.export.manifest import outdated
 from congelation.fmi.description import describe
 from congelation.scenario.doubts import doubts
@@ -29,8 +32,6 @@ from congelation.scenario.settings import SettingsReader, component_values, in_o
 from congelation.toml import Section
 
 __all__ = ["read_scenario"]
-
-_BUILD = "build it with: congelation build SPEC.toml"
 
 
 def read_scenario(document: Section, stem: str) -> dict[str, Any]:
@@ -149,9 +150,31 @@ def _find_fmu(section: Section, native: bool) -> Path:
         if os.path.isfile(folder / f"{name}.fmu"):
             return folder / f"{name}.fmu"
     built = sorted({f.stem for folder in folders for f in folder.glob("*.fmu")})
-    build = f"{_BUILD} --native" if native else _BUILD
-    remedy = f"{nearest(name, built)} Or {build}" if built else build
+    # Beside the FMUs of other plants, only a slip of the pen is what was meant.
+    near = difflib.get_close_matches(name, built, n=1, cutoff=0.8)
+    spec = _spec_of(name, (home, *home.parents, Path.cwd()))
+    if spec is not None:
+        near = []
+    build = f"build it with: congelation build {spec or 'SPEC.toml'}{' --native' if native else ''}"
+    remedy = f"did you mean '{near[0]}'? Or {build}" if near else build
     raise section.error("fmu", f"= '{name}' is no FMU in {where}/; {remedy}")
+
+
+def _spec_of(name: str, folders: Iterable[Path]) -> str | None:
+    """The spec in one of some folders, or in the folder specs of one, that builds an FMU of this
+    name, as a shell takes it."""
+    for folder in folders:
+        for file in sorted([*folder.glob("*.toml"), *folder.glob("specs/*.toml")]):
+            try:
+                tables = tomllib.loads(file.read_text("utf-8-sig"))
+            except (OSError, ValueError, RecursionError):
+                continue  # no spec; what is wrong with the file is no matter of this scenario
+            if "form" in tables and any(
+                isinstance(table, Mapping) and table.get("name") == name
+                for table in map(tables.get, ("plant", "controller", "block"))
+            ):
+                return shlex.quote(os.path.relpath(file))
+    return None
 
 
 def _experiment(section: Section) -> Experiment:

@@ -13,6 +13,7 @@ import build_fmu
 from congelation.errors import InvalidInput
 from congelation.export.interface import interface_of
 from congelation.export.spec import read_buildable, read_spec
+from congelation.export.spec_assumptions import spec_warnings
 from tests.scenarios import FMUS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -294,3 +295,59 @@ def test_the_page_of_an_fmu_has_the_paragraphs_that_concern_it():
     assert "data-with" not in plant + law
     assert "<code>epsilon_r</code>" in law
     assert "<code>rho_hat</code>" not in law
+
+
+def _units(file: Path, place: int = 1) -> dict[str, str]:
+    fmu = read_buildable(file).fmus[place]
+    return {v.name: v.unit for v in interface_of(fmu.model, fmu.profiles).variables}
+
+
+def test_units_of_gains_follow_from_those_of_theta_and_x(tmp_path):
+    file = tmp_path / "tanks.toml"
+    file.write_text(
+        'form = "strict-feedback"\n[structure]\nn = 2\np = 2\n'
+        'phibar = {"1,1" = [-1, 0], "2,2" = [0, -0.0166]}\n'
+        '[units]\nx = ["cm", "cm/s"]\ntheta = ["1/s", "1/s"]\n'
+    )
+    units = _units(file)
+    for name in ("delta", "theta_bound", "theta_center[2]", "theta_half_width[1]", "c[1]"):
+        assert units[name] == "1/s", name
+    assert [units["theta_hat0[1]"], units["z[1]"], units["z[2]"]] == ["1/s", "cm", "cm/s"]
+    assert units["Gamma[1,1]"] == ""  # z_1 and z_2, which it weighs, are measured differently
+    assert not any("measure the same" in line for line in spec_warnings(read_spec(file)))
+    file.write_text(file.read_text().replace('"1/s"]', '"1/min"]'))
+    units = _units(file)
+    assert [units["delta"], units["theta_bound"], units["theta_hat0[2]"]] == ["", "", "1/min"]
+    assert spec_warnings(read_spec(file))[-1] == (
+        "units.theta: '1/s' and '1/min' measure the same, and delta is the radius over the "
+        "numbers of all; give one of them"
+    )
+
+
+def test_the_radius_of_an_observer_is_that_of_a(tmp_path):
+    file = tmp_path / "observer.toml"
+    file.write_text(
+        'form = "observer"\n[structure]\nn = 1\nm = 0\nfilter = "iss"\n[units]\ny = "m"\nu = "m"\n'
+    )
+    assert _units(file)["z[1]"] == "m"
+    file.write_text(file.read_text() + 'theta = ["1/s", "1/s"]\n')
+    assert _units(file)["delta"] == "1/s"
+    assert _units(ROOT / "specs" / "scalar.toml")["delta"] == "1/s"
+
+
+def test_of_a_missing_file_a_spec_is_asked_for(tmp_path):
+    with pytest.raises(InvalidInput, match=r"no such file; give the path of a spec \(\.toml\)"):
+        read_buildable(tmp_path / "no.toml")
+
+
+@pytest.mark.parametrize("value", ['{value = 30, unit = "1/h"}', "{value = 1}"])
+def test_a_number_with_a_unit_is_told_that_a_spec_takes_its_own(tmp_path, value):
+    file = tmp_path / "own.toml"
+    file.write_text(f'form = "scalar"\n[controller]\nstart = {{delta = {value}}}\n')
+    with pytest.raises(InvalidInput) as told:
+        read_spec(file)
+    assert str(told.value).startswith(f"{file}: controller.start.delta = {{value = ")
+    assert str(told.value).endswith(
+        "is not valid; give numbers alone: a spec takes them in the units of its table [units], "
+        "and times in seconds"
+    )

@@ -155,6 +155,12 @@ def test_scale_and_legend_are_those_asked_for(tmp_path: Path) -> None:
     assert not bare.legends
     assert not any(axes.get_legend() for axes in bare.axes)
     figures = [{"name": "f", "panels": panels, "span": None, "scale": "linear", "legend": False}]
+    bare_study = results(tmp_path / "bare", runs, figures=[])
+    assert bare_study.plot().axes
+    with pytest.raises(
+        InvalidInput, match=r"no figure 'f': this study defines none; plot\(\) draws"
+    ):
+        bare_study.plot("f")
     kept = results(tmp_path, runs, figures=figures).plot("f")
     assert [axes.get_yscale() for axes in kept.axes] == ["linear"] * 3
     assert not kept.legends

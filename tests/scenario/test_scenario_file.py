@@ -338,7 +338,16 @@ MISTAKES = {
         "ScalarController.fmu takes no profile",
     ),
     "connection of no component": ("plant.x ->", "plnt.x ->", "did you mean 'plant'?"),
-    "connection of no variable": ("-> plant.u", "-> plant.v", "ScalarPlant.fmu has no variable"),
+    "connection of no variable": (
+        "-> plant.u",
+        "-> plant.what",
+        "ScalarPlant.fmu has no variable 'what'; its inputs are: u",
+    ),
+    "connection of a variable that is spelled otherwise": (
+        '"plant.x ->',
+        '"plant.thet ->',
+        "ScalarPlant.fmu has no variable 'thet'; did you mean 'theta[1]'?",
+    ),
     "connection without an arrow": ("plant.x ->", "plant.x to", "connections: connection '"),
     "unknown experiment key": (
         "stop_time",
@@ -537,6 +546,28 @@ def test_without_any_fmu_the_build_command_is_named(
     assert str(told.value).endswith(
         "is no FMU in fmus/; build it with: congelation build SPEC.toml"
     )
+
+
+def test_of_a_missing_fmu_the_spec_beside_is_named_that_builds_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(Path, "parents", property(lambda self: (tmp_path,)))
+    for folder in ("fmus", "specs"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "fmus" / "F16PitchPlant.fmu").touch()
+    file = write(tmp_path, SCALAR, (PLANT_FMU, '"StrictFeedbackPlant"'))
+    for spec, remedy in (
+        ("bad = [", "SPEC.toml"),
+        ((ROOT / "specs" / "state_feedback.toml").read_text(), "'specs/the plant.toml'"),
+    ):
+        (tmp_path / "specs" / "the plant.toml").write_text(spec)
+        with pytest.raises(InvalidInput) as told:
+            load_scenario(file)
+        assert str(told.value) == (
+            f"{file}: components.plant.fmu = 'StrictFeedbackPlant' is no FMU in fmus/; build it "
+            f"with: congelation build {remedy}"
+        )
 
 
 def test_a_sample_time_may_state_its_unit(tmp_path: Path) -> None:
