@@ -55,7 +55,12 @@ napoleon_use_ivar = True
 html_math_renderer = "mathml"
 LONG_FORMULA, LONG_CELL, SHORT_CELL, SHORT_CODE = 70, 60, 18, 24  # characters
 MANY_COLUMNS = 6
-LABELLED = ("default", "start", "unit")  # columns whose head a phone repeats in each cell
+FOLLOWING = (
+    ["rule", "level", "section", "demand"],
+    ["finding", "FMUs", "section", "the sentence, and the judgement"],
+    ["equation", "formula", "function"],
+)
+LABELLED = ("default", "start", "unit", "FMUs")  # columns whose head a phone repeats in each cell
 
 
 def formula(translator, node: nodes.math | nodes.math_block) -> None:  # type: ignore[no-untyped-def]
@@ -84,10 +89,12 @@ def widths(app: Sphinx, document: nodes.document, page: str) -> None:
         columns = next(table.findall(nodes.tgroup))["cols"]
         if columns >= MANY_COLUMNS:
             table["classes"].append("dense")
-        if page.startswith("generated/") and columns > 2:
+        head, *rows = table.findall(nodes.row)
+        names = [name.astext() for name in head]
+        described = page.startswith("generated/") and columns > 2 and "what it is" in names
+        if described or names in FOLLOWING:
             # On a phone, which has room for two columns, the cells of a row follow each other.
             table["classes"].append("stacked")
-            head, *rows = table.findall(nodes.row)
             for row in rows:
                 for name, entry in zip(head, row, strict=True):
                     if name.astext() in LABELLED and entry.astext() not in ("", "required"):

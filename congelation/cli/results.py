@@ -31,7 +31,7 @@ from congelation.report.comparison import (
 from congelation.report.comparison_page import write_comparison
 from congelation.report.export_formats import write_csv, write_mat
 from congelation.report.pareto import draw_front, pareto_front
-from congelation.report.run_page import write_html
+from congelation.report.run_page import require_runs, write_html
 from congelation.report.summary import metric_value, number, summarise_groups
 from congelation.report.text_table import aligned
 from congelation.results.print_figures import FORMATS, save
@@ -116,6 +116,7 @@ def report(
             raise InvalidInput(f"{option} {twice} is given twice")
     _complain_of_lost(results)
     study = results.study()
+    require_runs(results, study)
     formats = form or ["pdf", "png"]
     for name in formats:
         if name not in FORMATS:

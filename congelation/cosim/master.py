@@ -6,6 +6,7 @@ import os
 import time as clock
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -100,7 +101,8 @@ def simulate(
     Returns
     -------
     Result
-        A failing FMU and a diverging run are statuses; every row up to there is kept.
+        A failing FMU and a diverging run are statuses; every row up to there is kept. The message
+        of a completed run names connections whose units cannot be compared.
 
     Raises
     ------
@@ -126,8 +128,21 @@ def simulate(
         max_steps=max_steps,
     )
     if trust is False or trust is None:
-        return perform(system, experiment, output=output, progress=progress, pool=pool)
-    return trusted(perform, system, experiment, trust, output=output, progress=progress, pool=pool)
+        result = perform(system, experiment, output=output, progress=progress, pool=pool)
+    else:
+        result = trusted(
+            perform, system, experiment, trust, output=output, progress=progress, pool=pool
+        )
+    # A scenario says so before it runs; a system composed in Python has only this place.
+    resolved = system.resolve()
+    doubts = [
+        f"Connection '{link.name}': {link.doubt}."
+        for link in (*resolved.links, *resolved.discrete_links)
+        if link.doubt
+    ]
+    if not doubts or not result.completed:
+        return result
+    return replace(result, message=" ".join([result.message, *doubts]))
 
 
 def perform(

@@ -212,7 +212,9 @@ def _table(group: tuple[VariableInfo, ...]) -> list[str]:
         # Equal values of a vector are said once.
         shown = starts[:1] if len(set(starts)) == 1 else starts
         ranges = list(dict.fromkeys(v.range for v in members))
-        text = "; ".join(filter(None, (first.description, *ranges[: len(ranges) == 1])))
+        # "Start value of x[1]" is said of all of x.
+        about = first.description if first is last else _ELEMENT.sub("", first.description)
+        text = "; ".join(filter(None, (about, *ranges[: len(ranges) == 1])))
         rows.append((name, ", ".join(shown), ", ".join(filter(None, units)), text))
     widths = [min(34, max(len(row[k]) for row in rows)) for k in range(3)]
     return [

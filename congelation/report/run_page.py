@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from congelation.errors import InvalidInput
 from congelation.places import replace_whole
 from congelation.report.curves import POINTS, curve_panels
 from congelation.report.diagram import diagram
@@ -22,7 +23,7 @@ from congelation.report.verdict import run_verdict, settling_rule, tiles
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 
-__all__ = ["draw_overlaid", "trajectory_of", "write_html"]
+__all__ = ["draw_overlaid", "require_runs", "trajectory_of", "write_html"]
 
 SHOWN = 8
 """Runs whose trajectories a page shows at once; there are colours for so many."""
@@ -39,8 +40,23 @@ def write_html(results: Results, file: Path) -> None:
         If the file cannot be written.
     """
     study = results.study()
+    require_runs(results, study)
     text = _study_page(results, study) if study.about["swept"] else _run_page(results, study)
     replace_whole(file, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+
+
+def require_runs(results: Results, study: Study) -> None:
+    """Refuse a study without runs, as one that was killed before its first run was kept.
+
+    Raises
+    ------
+    InvalidInput
+    """
+    if not study.records:
+        raise InvalidInput(
+            f"{results.folder} has no runs; if a study began there, go on with: congelation sweep "
+            "SCENARIO --resume"
+        )
 
 
 def _run_page(results: Results, study: Study) -> str:

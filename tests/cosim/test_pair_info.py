@@ -39,6 +39,14 @@ def test_the_disturbance_of_a_plant_is_left_alone() -> None:
     assert str(found).count("profile[1]") == 1
 
 
+def test_elements_of_a_vector_in_different_units_are_each_shown() -> None:
+    text = str(info(FMUS / "F16PitchController.fmu"))
+    lines = {line.split("  ")[0]: line for line in map(str.strip, text.splitlines())}
+    assert "1/s, 1/s2, 1/s  Start value of theta_hat" in lines["theta_hat0[1] .. [3]"]
+    assert not lines["theta_hat0[1] .. [3]"].endswith("]")
+    assert " rad, rad/s " in lines["z[1] .. [2]"]
+
+
 def test_a_pair() -> None:
     """The steps that are named do what they are said to, and somewhat longer ones do not."""
     found = info(PLANT, CONTROLLER, stop_time=2.0).pair

@@ -178,8 +178,13 @@ def test_other_base_units_are_refused(tmp_path: Path) -> None:
 def test_what_cannot_be_compared_is_doubted(
     tmp_path: Path, source: str, target: str, doubt: str
 ) -> None:
-    first = loop(tmp_path, source, target).resolve().links[0]
+    system = loop(tmp_path, source, target)
+    first = system.resolve().links[0]
     assert (first.doubt, first.factor, first.offset) == (doubt, 1.0, 0.0)
+    # Who composes a system in Python gets no warnings of a scenario.
+    message = simulate(system, stop_time=0.02, step=0.01, coupling="jacobi").message
+    said = f"Connection 'plant.x -> controller.x': {doubt}."
+    assert (said in message) == bool(doubt)
 
 
 def test_differences_have_no_offset() -> None:
