@@ -18,7 +18,7 @@ from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session
-from congelation.cosim.step_control import Halving, Pace, StepSize, halved, is_floor
+from congelation.cosim.step_size import Halving, Pace, StepSize, halved, is_floor
 from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
 __all__ = ["Outcome", "Rules", "RunState", "Tried", "fitting_step", "outcome_of", "resized", "take"]

@@ -25,8 +25,8 @@ from congelation.cosim.further_runs import Note, observed, probed
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
 from congelation.cosim.rerun import Again, At
+from congelation.cosim.rerun_process import Ahead
 from congelation.cosim.result import Result, Trust
-from congelation.cosim.second_process import Ahead
 from congelation.cosim.sinks import Memory
 from congelation.cosim.system import Recorded, System
 from congelation.errors import InvalidInput

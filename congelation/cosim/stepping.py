@@ -36,7 +36,7 @@ from congelation.cosim.coupling.held import GaussSeidelStepper, JacobiStepper
 from congelation.cosim.coupling.hermite import HermiteStepper
 from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.session import Session
-from congelation.cosim.step_control import Halving, Pace, StepSize
+from congelation.cosim.step_size import Halving, Pace, StepSize
 
 __all__ = ["run_adaptive", "run_fixed"]
 

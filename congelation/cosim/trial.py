@@ -32,7 +32,7 @@ from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Columns
 from congelation.cosim.result import RunEnded
 from congelation.cosim.session import Session
-from congelation.cosim.step_control import DECIDED, SMALLEST_ERROR
+from congelation.cosim.step_size import DECIDED, SMALLEST_ERROR
 from congelation.cosim.system import MAX_DERIVATIVE, ResolvedSystem
 from congelation.errors import SlaveError
 from congelation.fmi.slave import SlaveTerminated

@@ -6,7 +6,7 @@ import pytest
 
 from congelation.cosim.adaptive_step import Outcome, Rules, Tried, outcome_of, resized
 from congelation.cosim.coupling import Trial
-from congelation.cosim.step_control import Pace, StepSize
+from congelation.cosim.step_size import Pace, StepSize
 
 TOLERANCE = 1e-3
 PLAIN = Rules(

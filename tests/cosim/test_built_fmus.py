@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from congelation.cosim import Output, SlavePool, adaptive_step, compiled, simulate
-from congelation.cosim.step_control import StepSize
+from congelation.cosim.step_size import StepSize
 from congelation.scenario.load import load_scenario
 from congelation.verify.reference import reference
 from tests.scenarios import ROOT

@@ -189,7 +189,7 @@ def test_iterations_that_do_not_converge_name_the_connection(loop):
 def test_a_rejected_step_leaves_no_trace(loop, coupling, monkeypatch):
     """Every third attempt is refused once, and then tried again at the same length."""
     from congelation.cosim import adaptive_step
-    from congelation.cosim.step_control import StepSize
+    from congelation.cosim.step_size import StepSize
 
     kwargs = {"stop_time": 2.0, "tolerance": 1e-4, "coupling": coupling}
     plain = simulate(loop({"a": 1.0}), **kwargs)

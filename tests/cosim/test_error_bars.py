@@ -13,7 +13,7 @@ from congelation.cosim import (
     ParquetFile,
     Status,
     System,
-    second_process,
+    rerun_process,
     simulate,
 )
 from congelation.cosim.bands import FLOOR, MARGIN, amplified, bands, error_name, variable_of
@@ -142,13 +142,13 @@ def test_rows_of_their_own_times_get_bars_as_well(parts, tmp_path):
 def test_a_second_process_finds_the_same(parts, monkeypatch, name, ability, coupling):
     found = problem(name)
     alone = run(found, parts, ability, coupling, step=0.02, trust=True)
-    monkeypatch.setattr(second_process, "LOOKED_AT", 0.0)
-    monkeypatch.setattr(second_process, "WORTH", 0.0)
-    monkeypatch.setattr(second_process, "PROCESSORS", 1)
+    monkeypatch.setattr(rerun_process, "LOOKED_AT", 0.0)
+    monkeypatch.setattr(rerun_process, "WORTH", 0.0)
+    monkeypatch.setattr(rerun_process, "PROCESSORS", 1)
     started = []
-    start = second_process.Ahead._start
+    start = rerun_process.Ahead._start
     monkeypatch.setattr(
-        second_process.Ahead, "_start", lambda self: (started.append(self), start(self))
+        rerun_process.Ahead, "_start", lambda self: (started.append(self), start(self))
     )
     beside = run(found, parts, ability, coupling, step=0.02, trust=True)
     assert len(started) == 1
@@ -160,10 +160,10 @@ def test_a_second_process_finds_the_same(parts, monkeypatch, name, ability, coup
 def test_a_second_process_that_dies_is_replaced(parts, monkeypatch):
     found = problem("relay")
     alone = run(found, parts, "held", "jacobi", step=0.02, trust=True)
-    monkeypatch.setattr(second_process, "LOOKED_AT", 0.0)
-    monkeypatch.setattr(second_process, "WORTH", 0.0)
-    monkeypatch.setattr(second_process, "PROCESSORS", 1)
-    monkeypatch.setattr(second_process, "MODULE", "congelation.no_such_module")
+    monkeypatch.setattr(rerun_process, "LOOKED_AT", 0.0)
+    monkeypatch.setattr(rerun_process, "WORTH", 0.0)
+    monkeypatch.setattr(rerun_process, "PROCESSORS", 1)
+    monkeypatch.setattr(rerun_process, "MODULE", "congelation.no_such_module")
     assert run(found, parts, "held", "jacobi", step=0.02, trust=True).trust.line == alone.trust.line
 
 

@@ -16,7 +16,7 @@ from congelation.cosim.coupling.polynomial import (
     matched,
 )
 from congelation.cosim.exchange import strong_components
-from congelation.cosim.step_control import StepSize
+from congelation.cosim.step_size import StepSize
 
 coefficients = st.lists(st.floats(-3.0, 3.0), min_size=4, max_size=4)
 lengths = st.floats(1e-3, 10.0)

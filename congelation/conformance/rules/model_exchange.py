@@ -17,7 +17,7 @@ from congelation.conformance.instance import Instance
 from congelation.conformance.model_exchange import Model, moved, require_states
 from congelation.conformance.probe import read
 from congelation.conformance.rule import Level, NotEvaluated, dynamic
-from congelation.conformance.rules.fmustate import restore, save
+from congelation.conformance.rules.fmu_states import restore, save
 from congelation.conformance.trajectory import demand, excite, same
 
 __all__: list[str] = []

@@ -17,7 +17,7 @@ from congelation.cosim.coupling.points import KEPT, Points
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.cosim.recording import NODES, OutputGrid, Rows
-from congelation.cosim.step_control import Halving, StepSize
+from congelation.cosim.step_size import Halving, StepSize
 
 __all__ = ["CompiledPolynomials"]
 

@@ -1,4 +1,4 @@
-/* Steps made whole and in halves, as step_control.py. */
+/* Steps made whole and in halves, as step_size.py. */
 
 enum { PROBED = 8 };
 static const double SHARES = 2.0, LEAST_SHARE = 1e-2, PASSING_SHARE = 0.3, FLOOR_EXPONENT = 0.25;

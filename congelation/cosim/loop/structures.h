@@ -128,7 +128,7 @@ typedef struct {
     double length;            /* for which J holds; 0: there is none yet */
 } State;
 
-/* What a run takes from one step to the next besides; StepSize and Halving of step_control.py. */
+/* What a run takes from one step to the next besides; StepSize and Halving of step_size.py. */
 typedef struct {
     State state;
     double step, error_before, event;

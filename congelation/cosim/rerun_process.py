@@ -42,7 +42,7 @@ LOOKED_AT = 0.05
 PROCESSORS = 2
 """Processors that two runs at once need."""
 
-MODULE = "congelation.cosim.second_process"
+MODULE = "congelation.cosim.rerun_process"
 
 ROWS, ENDED = "rows", "ended"
 """What a process leaves in its folder."""
