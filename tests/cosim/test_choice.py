@@ -151,8 +151,8 @@ def test_jumps_that_no_fmu_announces_are_passed_and_told(parts, ability):
     assert "a jump that no FMU announces" in result.message
 
 
-@pytest.mark.parametrize(("name", "error"), [("thermostat", 5e-3), ("relay", 5e-4)])
-def test_a_jump_does_not_pass_as_smooth(monkeypatch, parts, name, error):
+@pytest.mark.parametrize("name", ["thermostat", "relay"])
+def test_a_jump_does_not_pass_as_smooth(monkeypatch, parts, name):
     """With even steps, a jump looks like a smooth value of which 1/64 is missed."""
     found = problem(name)
     result, _ = run(found, parts, "full", tolerance=1e-2)
@@ -160,7 +160,7 @@ def test_a_jump_does_not_pass_as_smooth(monkeypatch, parts, name, error):
     exact = found.exact(result.time)
     off = np.abs(result.values - exact)
     # The relay itself is off for part of a step.
-    assert (off[:, :-1].max(axis=0) / np.abs(exact[:, :-1]).max(axis=0)).max() < error
+    assert (off[:, :-1].max(axis=0) / np.abs(exact[:, :-1]).max(axis=0)).max() < 5e-3
     assert np.diff(result.time)[off[:-1, -1] > 0.0].sum() < 5e-3 * found.stop
     with monkeypatch.context() as patch:
         patch.setattr(library, "loaded", lambda: None)
