@@ -18,7 +18,7 @@ from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session
-from congelation.cosim.step_size import Halving, Pace, StepSize, halved, is_floor
+from congelation.cosim.step_size import SMALLEST_ERROR, Halving, Pace, StepSize, halved, is_floor
 from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
 __all__ = ["Outcome", "Rules", "RunState", "Tried", "fitting_step", "outcome_of", "resized", "take"]
@@ -53,9 +53,9 @@ LEAST_BETWEEN = 1e-3
 """The same for FMUs that cannot be set back, where it is the tolerance if that is larger: changes
 are late by up to a step."""
 
-LONGEST_UNANNOUNCED = 2e-2
-"""The same where an FMU does not announce when its outputs jump: what begins and ends within one
-step, after a time in which nothing moved, is not seen."""
+LONGEST_AT_REST = 2e-2
+"""The same after a step without an error, where an FMU does not announce when its outputs jump:
+nothing has moved, so steps would grow, and not see what begins and ends within one."""
 
 MOST_IN_A_ROW = 8
 """Located changes of discrete values in so many steps, one right after the other, from which on
@@ -118,11 +118,16 @@ class Rules:
 
     @property
     def longest(self) -> float:
-        """Longest step, in seconds: values may jump, and back again, within it."""
-        share = math.inf if self.announced else LONGEST_UNANNOUNCED
-        if self.switches:
-            share = LONGEST_BETWEEN if self.takes_back else max(self.tolerance, LEAST_BETWEEN)
+        """Longest step, in seconds: discrete values may change within it."""
+        if not self.switches:
+            return math.inf
+        share = LONGEST_BETWEEN if self.takes_back else max(self.tolerance, LEAST_BETWEEN)
         return share * self.horizon
+
+    @property
+    def longest_at_rest(self) -> float:
+        """Longest step, in seconds, after one without an error."""
+        return math.inf if self.announced else LONGEST_AT_REST * self.horizon
 
 
 @dataclass
@@ -258,7 +263,10 @@ def resized(
         case Outcome.ACCEPTED:
             begins = rules.predicts and not pace.decided
             follow = size.begun if begins else size.accepted
-            return follow(tried.error, length, tried.order)
+            size = follow(tried.error, length, tried.order)
+            if tried.error <= SMALLEST_ERROR:
+                size = replace(size, length=min(size.length, rules.longest_at_rest))
+            return size
         case Outcome.LATE:
             return size.restarted(length)
         case Outcome.KEPT:

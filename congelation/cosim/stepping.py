@@ -248,7 +248,7 @@ def _new_compiled(
         1.0 if rules is None else rules.tolerance,
         stepper.first_change,
         rules.shortest if rules is not None and rules.keeps else 0.0,
-        math.inf if rules is None else rules.longest,
+        math.inf if rules is None else rules.longest_at_rest,
         session.start,
         session.stop,
     )

@@ -93,6 +93,8 @@ def test_steps_that_are_not_taken_back():
         (Outcome.ACCEPTED, tried(1e-9), PLAIN, 4.0 * 0.1),
         (Outcome.ACCEPTED, tried(1e-9), changed(FORWARD, predicts=True), 30.0 * 0.1),
         (Outcome.ACCEPTED, tried(1.0), PLAIN, 0.9 * 0.1),
+        (Outcome.ACCEPTED, tried(1e-9), changed(announced=False), 0.2),
+        (Outcome.ACCEPTED, tried(2e-4), changed(announced=False), 4.0 * 0.1),
     ],
 )
 def test_the_step_after_one_that_was_tried(outcome, step, rules, length):
@@ -108,7 +110,6 @@ def test_the_step_after_one_that_was_tried(outcome, step, rules, length):
     [
         (PLAIN, 1e-4, math.inf),
         (changed(tolerance=1e-6), 1e-5, math.inf),
-        (changed(announced=False), 1e-4, 0.2),
         (changed(switches=True), 1e-4, 0.1),
         (changed(FORWARD, switches=True), 1e-4, 1e-2),
         (changed(FORWARD, switches=True, tolerance=5e-3), 5e-4, 5e-2),

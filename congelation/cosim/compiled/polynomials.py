@@ -38,8 +38,8 @@ class CompiledPolynomials(Compiled):
         Share of its size by which an input may change over the first step after a jump.
     shortest_kept : float
         Longest step that Python is to make where its error is too large, in seconds; 0 for none.
-    longest : float
-        Longest step that is made, in seconds.
+    longest_at_rest : float
+        Longest step after one without an error, in seconds.
     start, stop : float
         Of the run, in seconds.
     """
@@ -54,7 +54,7 @@ class CompiledPolynomials(Compiled):
         tolerance: float,
         first_change: float,
         shortest_kept: float,
-        longest: float,
+        longest_at_rest: float,
         start: float,
         stop: float,
     ) -> None:
@@ -92,7 +92,7 @@ class CompiledPolynomials(Compiled):
             tolerance=tolerance,
             first_change=first_change,
             shortest_kept=shortest_kept,
-            longest=longest,
+            longest_at_rest=longest_at_rest,
             horizon=stop - start,
             work=self._address(
                 np.zeros(self.library.work_size(links, unknowns, len(ensemble.judged)))

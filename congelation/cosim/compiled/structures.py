@@ -155,7 +155,7 @@ class Plan(ctypes.Structure):
         ("horizon", ctypes.c_double),
         ("first_change", ctypes.c_double),
         ("shortest_kept", ctypes.c_double),
-        ("longest", ctypes.c_double),
+        ("longest_at_rest", ctypes.c_double),
         ("n_back", ctypes.c_ssize_t),
         ("back", ctypes.c_void_p),
         ("work", ctypes.c_void_p),

@@ -148,7 +148,7 @@ typedef struct {
     double tolerance, accuracy, unsettled, horizon;
     double first_change;      /* share of its size by which an input may change over a first step */
     double shortest_kept;     /* step that Python keeps whatever its error; 0 where it keeps none */
-    double longest;           /* step that is made; infinity where there is no bound */
+    double longest_at_rest;   /* step after one without an error; infinity where there is no bound */
     ptrdiff_t n_back;         /* links that are fed back: n = 2 n_back unknowns */
     const ptrdiff_t *back;
     double *work;             /* of work_size(L, n) numbers */

@@ -103,7 +103,7 @@ static void take(const Loop *loop, const Plan *plan, const State *from, State *t
 }
 
 /* StepSize.accepted */
-static void lengthen(Memory *memory, double length, double scaled, int order) {
+static void lengthen(const Plan *plan, Memory *memory, double length, double scaled, int order) {
     const double error = scaled > SMALLEST_ERROR ? scaled : SMALLEST_ERROR;
     double change = SAFETY * pow(error, -INTEGRAL / order)
                   * pow(memory->error_before, PROPORTIONAL / order);
@@ -111,6 +111,7 @@ static void lengthen(Memory *memory, double length, double scaled, int order) {
     change = change > SMALLEST_CHANGE ? change : SMALLEST_CHANGE;
     change = change < largest ? change : largest;
     memory->step = length * change;
+    if (scaled <= SMALLEST_ERROR && memory->step > plan->longest_at_rest) memory->step = plan->longest_at_rest;
     memory->error_before = error;
     memory->rejected = 0;
 }
@@ -136,7 +137,7 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
     const long saving = loop->calls - before_saving;
     memory->refused_length = 0.0;
     for (;;) {
-        *end = end_of(time, memory->step < plan->longest ? memory->step : plan->longest, target);
+        *end = end_of(time, memory->step, target);
         const double length = *end - time;
         Trial trial;
         const long calls = loop->calls, passes = loop->passes;
@@ -158,7 +159,7 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
         int accepted = fits && scaled <= 1.0;
         const int kept = code == DONE && !accepted && length <= plan->shortest_kept;
         if (accepted) {
-            lengthen(memory, length, scaled, trial.order);
+            lengthen(plan, memory, length, scaled, trial.order);
         } else if (code == DONE && !fits && !smallest && !kept && plan->halves) {
             accepted = memory->refused_length > 0.0 && is_floor(memory, length, plan->tolerance);
             if (accepted) {
