@@ -24,7 +24,7 @@ Indices = npt.NDArray[np.intp]
 TIGHTER = 0.03
 """Tolerance of the iterations in the second run, relative to that of the first."""
 
-PATIENCE = 4
+MORE_ITERATIONS = 4
 """Iterations that a step of the second run may take, relative to the first."""
 
 TIGHTER_SLAVES = 0.01
@@ -180,7 +180,7 @@ def tightened(experiment: Experiment, order: int) -> Experiment:
             iterations=1 if coupling.iterations == 1 else None,
             tolerance=TIGHTER * accuracy,
             # There is no shorter step to fall back on, as the first run may have had.
-            max_iterations=PATIENCE * coupling.max_iterations,
+            max_iterations=MORE_ITERATIONS * coupling.max_iterations,
         )
     slaves = slave_tolerance(experiment)
     return replace(
