@@ -221,10 +221,12 @@ def _refuse_other_runs(store: Store, scenario: Scenario, swept: bool, resume: bo
 
 
 def varied_settings(scenario: Scenario, swept: bool) -> tuple[str, ...]:
-    """Names of the settings that a variant changes, and of those that are swept."""
+    """Names of the settings that a variant changes, of those that are swept, and of those given."""
     by_variant = (name for variant in scenario.variants for name in variant.settings)
     by_sweep = _sweep(scenario).names() if swept else ()
-    return tuple(dict.fromkeys((*by_variant, *by_sweep)))
+    # What options give is the same in all runs of a study; runs of others in the folder have not.
+    by_options = (f"{EXPERIMENT}.{key}" for key in scenario.given)
+    return tuple(dict.fromkeys((*by_variant, *by_sweep, *by_options)))
 
 
 def _sweep(scenario: Scenario) -> Sweep:
