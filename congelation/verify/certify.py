@@ -277,7 +277,7 @@ def certify_design(design: Design, samples: int = 1000, seed: int = 0) -> Certif
         return Certification(design, Verdict.PRECISION, (reason,), finding)
     ultimate = None
     known = np.isfinite([*design.center, *design.half]).all() and bool(design.center)
-    if known and design.loop.controller.Upsilon is None and not certificate.residue.is_zero():
+    if known and design.loop.controller.Upsilon is None and not certificate.terms.residue.is_zero():
         ell = certificate.perturbations.ell(np.array(design.center), np.array(design.half))
         ultimate = certificate.ultimate(ell)
     return Certification(design, Verdict.HOLDS, (), finding, ultimate=ultimate)
