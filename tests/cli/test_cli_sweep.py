@@ -15,13 +15,26 @@ import pytest
 from congelation.results.results import Results
 from congelation.results.store import Store
 from tests.scenarios import SCALAR, write
-from tests.studies import children, command, is_alive, process, start, until
+from tests.studies import children, command, environment, install, is_alive, process, start, until
 from tests.studies import rows as stored
 
-pytestmark = [pytest.mark.slow, pytest.mark.workers]
+pytestmark = pytest.mark.slow
 
 POINTS = 12
 LONG = ("stop_time = 1.0", "stop_time = 15.0")  # a run takes a few tenths of a second
+
+# A run that takes its time without work, in processes whose environment says so.
+PACED = """
+import os, time
+from congelation.scenario.metrics import Metric
+
+def paced(t, values):
+    time.sleep(float(os.environ.get("SECONDS_OF_A_RUN", "0")))
+    return 0.0
+
+metric = Metric("paced", paced, "takes some time", str)
+"""
+PACE = {"SECONDS_OF_A_RUN": "0.25"}
 
 SWEEP = f"""
 [sweep]
@@ -42,11 +55,20 @@ def rows(out: Path) -> list[dict[str, Any]]:
     return stored(out)
 
 
+def write_paced(folder: Path) -> Path:
+    """A scenario with a sweep, and its metric, installed in the same folder."""
+    install(folder, "paced", PACED)
+    metric = "[metrics]", '[metrics]\npaced = {metric = "paced", of = "plant.x"}'
+    return write(folder, SCALAR + SWEEP, metric)
+
+
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    """The rows of the long sweep, done by one worker without disturbance."""
+    """The rows of the sweep, done without disturbance."""
     folder = tmp_path_factory.mktemp("reference")
-    done = sweep(write(folder, SCALAR + SWEEP, LONG), folder / "out")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        done = sweep(write_paced(folder), folder / "out")
     assert done.returncode == 0, done.stderr
     assert f"{2 * POINTS} runs, {2 * POINTS} of them to do" in done.stdout
     assert f"{2 * POINTS} of {2 * POINTS} runs, 0 failed" in done.stderr
@@ -54,15 +76,17 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
 
 
 @pytest.fixture
-def file(tmp_path: Path) -> Path:
-    return write(tmp_path, SCALAR + SWEEP, LONG)
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.syspath_prepend(tmp_path)
+    return write_paced(tmp_path)
 
 
 @pytest.fixture
 def running(file: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """The long sweep on two workers, some runs done and some to do."""
+    """The sweep on two workers, some runs done and some to do."""
     out = tmp_path / "out"
-    running = start("sweep", file, "--out", out, "--workers", "2")
+    env = environment(tmp_path) | PACE
+    running = start("sweep", file, "--out", out, "--workers", "2", env=env)
     try:
         until(lambda: out.is_dir() and Store(out).database.is_file() and Store(out).count() >= 3)
         yield running
@@ -137,7 +161,7 @@ def test_runs_that_cannot_begin_are_rows(tmp_path: Path) -> None:
 def test_a_full_disk_is_one_line_and_no_finished_run_is_lost(tmp_path: Path) -> None:
     """The largest file of an FMU has 0.35 MB, the trajectories have more."""
     dense = ("step = 0.01", "step = 1e-3")
-    axis = SWEEP.replace("[sweep]", "[sweep]\ntrajectories = true").replace("12", "2")
+    axis = SWEEP.replace("[sweep]", "[sweep]\ntrajectories = true").replace("12", "1")
     file, out = write(tmp_path, SCALAR + axis, dense, LONG), tmp_path / "out"
 
     def limit() -> None:
@@ -148,8 +172,8 @@ def test_a_full_disk_is_one_line_and_no_finished_run_is_lost(tmp_path: Path) -> 
     assert "Traceback" not in done.stderr
     assert "cannot be written: " in done.stderr.strip().splitlines()[-1]
     assert sweep(file, out, "--resume").returncode == 0
-    assert len(rows(out)) == 4
-    assert len(list((out / "trajectories").iterdir())) == 4
+    assert len(rows(out)) == 2
+    assert len(list((out / "trajectories").iterdir())) == 2
 
 
 def test_two_sweeps_share_a_directory(tmp_path: Path) -> None:
