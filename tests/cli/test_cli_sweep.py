@@ -161,7 +161,7 @@ def test_runs_that_cannot_begin_are_rows(tmp_path: Path) -> None:
 def test_a_full_disk_is_one_line_and_no_finished_run_is_lost(tmp_path: Path) -> None:
     """The largest file of an FMU has 0.35 MB, the trajectories have more."""
     dense = ("step = 0.01", "step = 1e-3")
-    axis = SWEEP.replace("[sweep]", "[sweep]\ntrajectories = true").replace("12", "1")
+    axis = SWEEP.replace("[sweep]", "[sweep]\ntrajectories = true").replace("12", "2")
     file, out = write(tmp_path, SCALAR + axis, dense, LONG), tmp_path / "out"
 
     def limit() -> None:
@@ -172,8 +172,8 @@ def test_a_full_disk_is_one_line_and_no_finished_run_is_lost(tmp_path: Path) -> 
     assert "Traceback" not in done.stderr
     assert "cannot be written: " in done.stderr.strip().splitlines()[-1]
     assert sweep(file, out, "--resume").returncode == 0
-    assert len(rows(out)) == 2
-    assert len(list((out / "trajectories").iterdir())) == 2
+    assert len(rows(out)) == 4
+    assert len(list((out / "trajectories").iterdir())) == 4
 
 
 def test_two_sweeps_share_a_directory(tmp_path: Path) -> None:
