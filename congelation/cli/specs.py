@@ -117,7 +117,8 @@ def info(
     stop_time: Annotated[
         float | None,
         typer.Option(
-            help="Length of the trial runs of a pair in s.", show_default="what the FMUs propose"
+            help="Length of the trial runs of a pair in s.",
+            show_default="the shorter stop time that the FMUs propose, or 10",
         ),
     ] = None,
     json: AsJson = False,
