@@ -35,7 +35,7 @@ html_show_sphinx = False
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 
-myst_enable_extensions = ["deflist", "dollarmath", "fieldlist"]
+myst_enable_extensions = ["attrs_inline", "deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 4
 myst_fence_as_directive = ["math"]
 
@@ -128,13 +128,13 @@ def breaks(found: re.Match[str]) -> str:
 
 
 def block(found: re.Match[str]) -> str:
-    """A block of code whose options are not broken, and whose comments a phone puts below the code."""
+    """A block of code that a phone breaks before comments, and no window within options."""
     marked = re.sub(r"(?<=\s)--[a-z-]+", r'<span class="option">\g<0></span>', found[0])
     return re.sub(r"(?<=\S)  +(?=#|<span class=\"c1\">)", r'<span class="gap">\g<0></span>', marked)
 
 
 def options(app: Sphinx, page: str, template: str, context: dict, document: object) -> None:  # type: ignore[type-arg]
-    """Say where a browser may break lines: in options and numbers nowhere, in long names after _."""
+    """Say where a browser may break lines: not in options and numbers, after _ in long names."""
     if "body" not in context:  # a page without a text, such as the search
         return
     body = context["body"].replace('<span class="pre">--', '<span class="pre option">--')

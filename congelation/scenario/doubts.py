@@ -161,7 +161,7 @@ def _settings(
 
 
 def _sizes(settings: Collection[_Setting]) -> set[str]:
-    """The amplitudes that are not 0 in some run: those given, and an FMU's own where none replaces it."""
+    """The amplitudes that are not 0 in some run: as given, or the FMU's own unless replaced."""
     replaced = {item.column for item in settings if item.is_start}
     sizes = {item.column for item in settings if item.value}
     for item in settings:
