@@ -102,6 +102,11 @@ def scalar(name: str, description: str, unit: str = "") -> Variables:
     return Variables(name, ca.SX.sym(name), description, unit, indexed=False)
 
 
+def optional(wanted: bool, name: str, description: str, unit: str = "") -> Variables | None:
+    """A scalar variable of a law, where its options want it."""
+    return scalar(name, description, unit) if wanted else None
+
+
 def vector(name: str, n: int, description: str, unit: str | tuple[str, ...] = "") -> Variables:
     """A column vector of n variables ``name[1] .. name[n]``."""
     return Variables(name, ca.SX.sym(name, n), description, unit)

@@ -18,131 +18,22 @@ from congelation.theory.model import (
     Parameter,
     State,
     Variables,
-    matrix,
-    scalar,
     vector,
 )
 from congelation.theory.observer_form import checked_orders
-from congelation.theory.options import Options, reference
+from congelation.theory.options import Options
+from congelation.theory.output_feedback_symbols import (
+    OutputFeedbackStep,
+    OutputFeedbackSymbols,
+    Partial,
+)
 
 __all__ = [
     "OutputFeedbackDesign",
-    "OutputFeedbackStep",
-    "OutputFeedbackSymbols",
     "output_feedback_controller",
     "output_feedback_design",
     "output_feedback_model",
 ]
-
-
-@dataclass(frozen=True)
-class OutputFeedbackSymbols:
-    """The symbols that the law is a function of, beside those of the K-filter.
-
-    None where the options of the law have no use for one.
-    """
-
-    y: Variables
-    theta_hat: Variables
-    rho_hat: Variables
-    c: Variables
-    d: Variables
-    Gamma: Variables
-    gamma: Variables
-    damping: Variables
-    sign_b_m: Variables
-    delta: Variables | None = None
-    delta_1: Variables | None = None
-    corrected: Variables | None = None
-    yr: Variables | None = None
-    q: Variables | None = None
-    q_d: Variables | None = None
-    D_hat: Variables | None = None
-    gamma_D: Variables | None = None
-
-    @classmethod
-    def of(cls, rho: int, q: int, options: Options) -> OutputFeedbackSymbols:
-        """The symbols of a law of relative degree rho with q = m + 1 + n parameters."""
-        found = cls(
-            y=scalar("y", "Output y of the plant (27)"),
-            theta_hat=vector("theta_hat", q, "Estimate of [b, ell_a], (55)"),
-            rho_hat=scalar("rho_hat", "Estimate of 1/b_m, (54)"),
-            c=vector("c", rho, "Decay rates c_i of (49)-(51)"),
-            d=vector("d", rho, "Damping d_i against the estimation error, (49)-(51)"),
-            Gamma=matrix("Gamma", q, q, "Adaptation gain of (55)"),
-            gamma=scalar("gamma", "Adaptation gain of (54)"),
-            damping=scalar("damping", "True: Controller 1, with damping; false: Controller 2"),
-            sign_b_m=scalar("sign_b_m", "Sign of the high-frequency gain b_m, Assumption 3"),
-        )
-        if options.tracking:
-            found = replace(found, yr=reference(rho))
-        if options.unknown_radius:
-            found = replace(
-                found,
-                D_hat=scalar("D_hat", "Estimate of the damping that the unknown radius needs"),
-                gamma_D=scalar("gamma_D", "Adaptation gain of D_hat"),
-            )
-        else:
-            found = replace(
-                found,
-                delta=scalar("delta", "Radius of a(t), Assumption 2"),
-                delta_1=scalar("delta_1", "Radius of a_(n-1)(t) alone, at most delta"),
-                corrected=scalar("corrected", "True: corrected damping; false: as printed in (59)"),
-            )
-            if options.tracking:
-                weight = scalar("q", "Weight of the reference in Young's inequality")
-                found = replace(found, q=weight)
-            if options.disturbance:
-                weight = scalar("q_d", "Weight of the disturbance in Young's inequality")
-                found = replace(found, q_d=weight)
-        return found
-
-    @property
-    def z_1(self) -> ca.SX:
-        """z_1 of (45): y, or y - y_r."""
-        y = ca.SX(self.y.symbol)
-        return y if self.yr is None else y - self.yr.symbol[0]
-
-    def reference(self, order: int) -> ca.SX:
-        """y_r^(order), 0 without a reference."""
-        return ca.SX(0) if self.yr is None else self.yr.symbol[order]
-
-
-@dataclass(frozen=True)
-class Partial:
-    """The partial derivatives of a virtual control, as rows."""
-
-    y: ca.SX
-    eta: ca.SX
-    lambda_: ca.SX
-    theta_hat: ca.SX
-    rho_hat: ca.SX
-    D_hat: ca.SX
-    yr: ca.SX
-
-
-@dataclass(frozen=True)
-class OutputFeedbackStep:
-    """Step i of the recursion.
-
-    Attributes
-    ----------
-    z, alpha : casadi.SX, (1, 1)
-        z_i of (45)-(46), alpha_i of (49)-(51).
-    w : casadi.SX, (m + 1 + n, 1)
-        Row i of W_theta^T in (57): what multiplies ell - theta_hat in z_i'.
-    tau, slope : casadi.SX, (m + 1 + n, 1)
-        tau_i of (47)-(48), and the slope of the adaptation law there (w for the gradient law).
-    dalpha : Partial
-        Partial derivatives of alpha_{i-1}.
-    """
-
-    z: ca.SX
-    alpha: ca.SX
-    w: ca.SX
-    tau: ca.SX
-    slope: ca.SX
-    dalpha: Partial
 
 
 @dataclass(frozen=True)

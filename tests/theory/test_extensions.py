@@ -359,8 +359,8 @@ def test_the_rate_of_the_known_variations_has_to_be_in_the_law(monkeypatch, n, p
     gradient_of = state_feedback._gradient
 
     def without(alpha, *symbols):
-        *rows, t = gradient_of(alpha, *symbols)
-        return [*rows, ca.SX(*t.shape)]
+        found = gradient_of(alpha, *symbols)
+        return found._replace(t=ca.SX(*found.t.shape))
 
     monkeypatch.setattr(state_feedback, "_gradient", without)
     monkeypatch.setattr(state_feedback, "time_factor", lambda symbols, steps: symbols.row())
@@ -459,8 +459,8 @@ def test_the_width_of_the_bound_estimator_has_to_fall_in_its_law(monkeypatch):
     gradient_of = state_feedback._gradient
 
     def without(alpha, *symbols):
-        *rows, eta, t = gradient_of(alpha, *symbols)
-        return [*rows, ca.SX(*eta.shape), t]
+        found = gradient_of(alpha, *symbols)
+        return found._replace(eta=ca.SX(*found.eta.shape))
 
     monkeypatch.setattr(state_feedback, "_gradient", without)
     assert violated(estimator_loop(4, 2, 2, decay=50.0))
