@@ -85,8 +85,8 @@ def commands() -> list[str]:
     lines = [
         "# Commands",
         "",
-        "`congelation COMMAND --help` says the same. What a user can set right is one line on "
-        "standard error.",
+        "`congelation COMMAND --help` says the same. An error that the user can correct is one "
+        "line on standard error.",
         "",
         *table(["exit code", "meaning"], list(EXIT_CODES.items())),
     ]

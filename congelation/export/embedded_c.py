@@ -17,6 +17,7 @@ import casadi as ca
 from congelation.export.equations import constants_of, equation_blocks
 from congelation.export.spec import FmuSpec
 from congelation.export.straight_line import Block, c_function, operations
+from congelation.places import write_whole
 from congelation.theory.values import complete_values
 
 __all__ = ["controller_code"]
@@ -49,7 +50,7 @@ def controller_code(fmu: FmuSpec, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / name for name in texts]
     for path, text in zip(paths, texts.values(), strict=True):
-        path.write_text(text, "utf-8")
+        write_whole(path, text)
     return paths
 
 
