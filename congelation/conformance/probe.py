@@ -18,8 +18,9 @@ __all__ = ["feedthrough", "initial_sensitivity", "read", "shifted"]
 _SHIFT = 0.1
 # A time at which no periodic signal of a round period stands where it stood.
 _DELAY = 0.37
-# Step for telling a direct reaction from one through a state: the latter shrinks with the step.
+# Steps for telling a direct reaction from one through a state: the latter shrinks with the step.
 _TINY_STEP = 1e-4
+_SIZES = (_TINY_STEP, _TINY_STEP / 2.0)
 # Halving the step halves a reaction through a state; a direct one keeps its size.
 _DIRECT = 0.9
 # Below this a difference may be rounding.
@@ -53,10 +54,6 @@ def read(instance: Instance, variables: tuple[Variable, ...]) -> dict[int, Value
         demand(status, f"fmi2Get{base} of {', '.join(v.name for v in group[:5])}")
         found |= {v.index: value for v, value in zip(group, values, strict=True)}
     return found
-
-
-def _changed(base: Mapping[int, Value], other: Mapping[int, Value]) -> Iterator[int]:
-    return (index for index, value in other.items() if not same(value, base[index]))
 
 
 @dataclass(frozen=True)
@@ -108,9 +105,9 @@ def initial_sensitivity(bench: Bench) -> tuple[_Effects, set[int]]:
             if other is None:
                 continue
             varied.add(known.index)
-            for index in _changed(base, other):
-                if index != known.index:
-                    effects[index, known.index] = (base[index], other[index])
+            for index, value in other.items():
+                if index != known.index and not same(value, base[index]):
+                    effects[index, known.index] = (base[index], value)
     instance.free()
     return effects, varied
 
@@ -183,25 +180,21 @@ def feedthrough(bench: Bench) -> tuple[_Effects, set[int]]:
     )
     knowns = tuple(v for v in inputs(description) if v.element == "Real")
     instance = bench.fresh()
-    base = {size: _after(bench, instance, size, None, outputs) for size in _sizes()}
+    base = {size: _after(bench, instance, size, None, outputs) for size in _SIZES}
     effects: _Effects = {}
     varied: set[int] = set()
     for known in knowns:
-        moved = {size: _after(bench, instance, size, known, outputs) for size in _sizes()}
+        moved = {size: _after(bench, instance, size, known, outputs) for size in _SIZES}
         varied.add(known.index)
         for v in outputs:
             whole, half = (
-                abs(float(moved[size][v.index]) - float(base[size][v.index])) for size in _sizes()
+                abs(float(moved[size][v.index]) - float(base[size][v.index])) for size in _SIZES
             )
             before = base[_TINY_STEP][v.index]
             if whole > _NOISE * (1.0 + abs(float(before))) and half > _DIRECT * whole:
                 effects[v.index, known.index] = (before, moved[_TINY_STEP][v.index])
     instance.free()
     return effects, varied
-
-
-def _sizes() -> tuple[float, float]:
-    return _TINY_STEP, _TINY_STEP / 2.0
 
 
 def _after(

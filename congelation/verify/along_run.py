@@ -155,7 +155,7 @@ def along(
         np.array([margin.rate for margin in margins]),
         np.array([margin.claimed for margin in margins]),
         np.array([margin.residue for margin in margins]),
-        certificate.decay,
+        certificate.terms.decay,
     )
 
 
