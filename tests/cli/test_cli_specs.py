@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -60,11 +61,11 @@ def test_certify_names_the_state_of_a_violation(congelation):
     assert "plant.x[1] = " in line
 
 
-def changed(folder: Path, spec: str, old: str, new: str) -> str:
+def changed(folder: Path, spec: str, old: str, new: str, name: str = "") -> str:
     """A copy of a shipped spec with one change."""
     text = (ROOT / "specs" / f"{spec}.toml").read_text("utf-8")
     assert old in text
-    file = folder / f"{spec}.toml"
+    file = folder / f"{name or spec}.toml"
     file.write_text(text.replace(old, new))
     return str(file)
 
@@ -341,6 +342,35 @@ def test_certify_as_json(congelation):
     found = {design["design"]: design["verdict"] for design in json.loads(done.stdout)}
     assert found == {"Controller 1": "HOLDS", "Controller 2": "VIOLATED"}
     assert done.returncode == 3
+
+
+def test_certify_takes_several_files(congelation, tmp_path):
+    """A line for each design; the exit code is the highest of those of the files."""
+    good, block, bad = "specs/scalar.toml", "specs/noise.toml", "specs/none.toml"
+    short = changed(tmp_path, "scalar", "delta = 1}", "delta = 0.5}")
+    frozen = changed(tmp_path, "scalar", "gamma = 1,", "adapt = false,", name="frozen")
+    few = ("--samples", "20")
+    done = congelation("certify", good, block, *few)
+    assert done.returncode == 0
+    assert re.fullmatch(
+        r"specs/scalar.toml: Scalar example: holds \(worst margin \S+, relative margin \S+, "
+        r"delta 1, radius of theta 1\)\n",
+        done.stdout,
+    )
+    assert done.stderr.startswith("congelation: specs/noise.toml: this is the spec of a block")
+    for files, code in (((good, frozen), 1), ((frozen, bad, good), 2), ((bad, short, frozen), 3)):
+        done = congelation("certify", *files, *few)
+        assert done.returncode == code
+        assert len(done.stdout.splitlines()) == len([file for file in files if file is not bad])
+    assert f"congelation: {short}: Scalar example: an assumption of the theorem" in done.stderr
+    done = congelation("certify", good, bad, "--json", *few)
+    assert done.returncode == 2
+    first, second = json.loads(done.stdout)
+    assert (first["file"], first["error"]) == (good, None)
+    assert [design["verdict"] for design in first["designs"]] == ["HOLDS"]
+    assert (second["designs"], second["error"]) == ([], done.stderr.strip().partition(": ")[2])
+    done = congelation("certify", good, short, "--html", tmp_path / "page.html")
+    assert (done.returncode, "--html is the page of one file" in done.stderr) == (2, True)
 
 
 def test_examples_and_new_say_what_they_wrote(congelation, tmp_path, monkeypatch):
