@@ -29,7 +29,7 @@ import pyarrow.parquet as pq
 
 from congelation.cosim.result import Status
 from congelation.errors import InvalidInput, nearest
-from congelation.places import StoreError, check_folder, replace_whole
+from congelation.places import StoreError, check_folder, replace_whole, write_whole
 from congelation.results import tables
 from congelation.results.record import RunRecord, Trajectory
 from congelation.results.trajectory_file import read_trajectory
@@ -178,7 +178,7 @@ class Store:
 
     def write_trajectory(self, run_id: str, content: bytes) -> None:
         """Keep the trajectory of a run; `content` is that of `trajectory_bytes`."""
-        replace_whole(self.trajectory_file(run_id), lambda file: file.write_bytes(content))
+        write_whole(self.trajectory_file(run_id), content)
 
     def export(self) -> Path:
         """Write runs.parquet: every record of this directory."""
