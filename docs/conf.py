@@ -137,7 +137,7 @@ def options(app: Sphinx, page: str, template: str, context: dict, document: obje
     """Say where a browser may break lines: not in options and numbers, after _ in long names."""
     if "body" not in context:  # a page without a text, such as the search
         return
-    body = context["body"].replace('<span class="pre">--', '<span class="pre option">--')
+    body = context["body"].replace('<span class="pre">-', '<span class="pre option">-')
     body = re.sub(rf'(?<=<span class="pre">)\w{{{SHORT_CODE + 1},}}(?=</span>)', breaks, body)
     body = re.sub(r"(?<=>)([A-Z]\w+)(Controller|Plant)(?=<)", r"\1<wbr>\2", body)
     body = re.sub(

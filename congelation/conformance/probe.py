@@ -12,7 +12,14 @@ from congelation.conformance.instance import Instance
 from congelation.conformance.rule import Violated
 from congelation.conformance.trajectory import by_base, demand, excitation, excite, inputs, same
 
-__all__ = ["feedthrough", "initial_sensitivity", "read", "shifted"]
+__all__ = [
+    "QUOTIENT_STEP",
+    "feedthrough",
+    "initial_sensitivity",
+    "is_derivative",
+    "read",
+    "shifted",
+]
 
 # A tenth of the value (or of 1): visible, and seldom out of the range that a model accepts.
 _SHIFT = 0.1
@@ -25,6 +32,11 @@ _SIZES = (_TINY_STEP, _TINY_STEP / 2.0)
 _DIRECT = 0.9
 # Below this a difference may be rounding.
 _NOISE = 1e-9
+
+# Difference quotients over such a step are good to a few digits; the bound on their error only has
+# to tell a derivative from something else.
+QUOTIENT_STEP = 1e-5
+_QUOTIENT_ERROR = 1e-2
 
 _Effects = dict[tuple[int, int], tuple[Value, Value]]
 
@@ -44,6 +56,11 @@ def shifted(variable: Variable, value: Value, description: Description) -> Value
         if (low is None or candidate >= low) and (high is None or candidate <= high):
             return candidate
     return None
+
+
+def is_derivative(value: float, quotient: float) -> bool:
+    """Whether a number is the derivative that a difference quotient was measured for."""
+    return abs(value - quotient) <= _QUOTIENT_ERROR * (1.0 + abs(quotient))
 
 
 def read(instance: Instance, variables: tuple[Variable, ...]) -> dict[int, Value]:

@@ -31,13 +31,13 @@ class Sink(ABC):
     def write(self, block: Floats) -> None:
         """Take a block, shape (n, len(columns)), which may be kept."""
 
-    @abstractmethod
     def close(self) -> None:
-        """No block will follow."""
+        """No block will follow. Here, nothing is left to do."""
+        return
 
-    @abstractmethod
     def abandon(self) -> None:
-        """The run was broken off by an exception."""
+        """The run was broken off by an exception. Here, as `close`."""
+        self.close()
 
 
 class Memory(Sink):
@@ -53,12 +53,6 @@ class Memory(Sink):
     def write(self, block: Floats) -> None:
         """Keep a block."""
         self._blocks.append(block)
-
-    def close(self) -> None:
-        """Nothing is left to do."""
-
-    def abandon(self) -> None:
-        """Nothing is left to do."""
 
     def rows(self) -> Floats:
         """All rows, shape (N, len(columns))."""

@@ -234,11 +234,9 @@ def problem_of(scenario: Scenario, variant: str) -> Problem:
             "theta(t) alone, in a loop that nothing else drives; vary the FMUs' inputs "
             f"instead, such as --vary {found.plant}.dtheta[1]=-1..1"
         )
-    bounds = np.array([profile.bounds() for profile in found.profiles], dtype=float)
-    if not np.isfinite(bounds).all():
+    if not np.isfinite([profile.bounds() for profile in found.profiles]).all():
         raise InvalidInput(f"{variant}: theta(t) has no bounds; give a profile that has")
-    center = bounds.mean(axis=1) + np.array(found.offsets)
-    half = (bounds[:, 1] - bounds[:, 0]) / 2
+    center, half = found.center, found.radii
     ball = _ball(found.loop, len(center))
     theta = found.loop.plant.theta
     names = () if theta is None else theta.names

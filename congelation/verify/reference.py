@@ -19,7 +19,7 @@ import numpy.typing as npt
 from congelation.arguments import checked
 from congelation.cosim.result import Result
 from congelation.cosim.system import System
-from congelation.errors import CongelationError
+from congelation.errors import CongelationError, InvalidInput
 from congelation.export.interface import start_names
 from congelation.results.record import Trajectory
 from congelation.scenario.parts import Case, Experiment, Scalar
@@ -142,6 +142,22 @@ class Reference:
             for name, values in zip(names, (*solution.states.T, *solution.outputs.T), strict=True)
             if name not in given
         }
+
+    @property
+    def center(self) -> Floats:
+        """The centre of the box that theta(t) fills."""
+        bounds = [profile.bounds() for profile in self.profiles]
+        if not np.isfinite(bounds).all():
+            raise InvalidInput("theta(t) has no bounds")
+        middle: Floats = np.mean(bounds, axis=1) + np.array(self.offsets)
+        return middle
+
+    @property
+    def radii(self) -> Floats:
+        """Half the sides of the box that theta(t) fills."""
+        bounds = np.array([profile.bounds() for profile in self.profiles], dtype=float)
+        half: Floats = (bounds[:, 1] - bounds[:, 0]) / 2
+        return half
 
     @cached_property
     def certified(self) -> ClosedLoop:
