@@ -4,6 +4,7 @@ Property-based tests draw the same 25 examples in every run of `make test`, and 
 `make fuzz`, which runs the tests marked ``fuzz``. Such a test sets no number of examples.
 """
 
+import gc
 import os
 import signal
 import sys
@@ -27,6 +28,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # A shell starts what runs in its background with SIGINT ignored, and processes inherit that; tests
 # that interrupt a command need it as it is in a foreground.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Imports and collecting make a million objects that stay: searches for garbage among them take a
+# sixth of that time, and each later search would look through them anew.
+gc.disable()
 
 settings.register_profile(
     "repeatable", max_examples=25, derandomize=True, deadline=None, print_blob=True
@@ -82,6 +87,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.slow)
     # First, so that no long file is left for the end, when the other processes have nothing to do.
     items.sort(key=lambda item: not is_slow(item.path))
+
+
+def pytest_collection_finish() -> None:
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -286,7 +286,13 @@ def _print_rows(rows: Sequence[Mapping[str, object]], metrics: Mapping[str, Any]
         print("no runs")
         return
     names = dict.fromkeys(name for row in rows for name, value in row.items() if value is not None)
-    first = [name for name in ("run_id", "variant", "replicate") if name in names]
+    # Runs of several studies, such as those of an earlier state of the scenario, are told apart.
+    several = len({row["study"] for row in rows}) > 1
+    first = [
+        name
+        for name in ("run_id", "study", "variant", "replicate")
+        if name in names and (several or name != "study")
+    ]
     columns = first + [n for n in names if n.startswith("set.")] + ["status"]
     columns += [name for name in rows[0] if name.startswith("metric.")]
     header = [name.removeprefix("set.").removeprefix("metric.") for name in columns]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from congelation.conformance.bench import Bench
 from congelation.conformance.binding import EventInfo
@@ -11,7 +12,7 @@ from congelation.conformance.instance import MODEL_EXCHANGE
 from congelation.conformance.rule import NotApplicable, Violated, require
 from congelation.conformance.trajectory import demand, excite
 
-__all__ = ["Model", "moved", "require_states"]
+__all__ = ["Model", "integrated", "moved", "require_states", "without_slopes"]
 
 # An event iteration settles after a few rounds; more than this is taken for endless.
 _MOST_ITERATIONS = 100
@@ -127,3 +128,64 @@ class Model:
 def moved(x: Sequence[float]) -> list[float]:
     """Other states, near by."""
     return [value + 0.01 * (1.0 + abs(value)) * (1.0 + 0.1 * i) for i, value in enumerate(x)]
+
+
+def without_slopes(bench: Bench) -> Description:
+    """The description with those inputs at rest on which no derivative depends.
+
+    In co-simulation an FMU may have inputs for the slopes of others, which mean nothing in model
+    exchange.
+    """
+    description = bench.description
+    known: set[int] = set()
+    for unknown in description.derivatives:
+        if unknown.dependencies is None:
+            return description
+        known |= set(unknown.dependencies)
+    return replace(
+        description,
+        variables=tuple(
+            replace(v, still=v.still or (v.causality == "input" and v.index not in known))
+            for v in description.variables
+        ),
+    )
+
+
+def integrated(bench: Bench, description: Description, substeps: int) -> list[list[float]]:
+    """The states at the communication points, by the method of Runge and Kutta (order 4)."""
+    model = Model.continuous(bench, description)
+
+    def rates(t: float, x: Sequence[float]) -> list[float]:
+        model.set_time(t)
+        model.x = x
+        return model.rates
+
+    x = model.x
+    rows = [x]
+    for point in range(bench.grid.steps):
+        t, end = bench.grid.time(point), bench.grid.time(point + 1)
+        while t < end:
+            stop = min(end, model.info.nextEventTime) if model.info.nextEventTimeDefined else end
+            stop = stop if stop > t else end
+            h = (stop - t) / substeps
+            for k in range(substeps):
+                s = t + k * h
+                k1 = rates(s, x)
+                k2 = rates(s + h / 2, [a + h / 2 * b for a, b in zip(x, k1, strict=True)])
+                k3 = rates(s + h / 2, [a + h / 2 * b for a, b in zip(x, k2, strict=True)])
+                k4 = rates(s + h, [a + h * b for a, b in zip(x, k3, strict=True)])
+                x = [
+                    a + h / 6 * (b + 2 * c + 2 * d + e)
+                    for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)
+                ]
+            t = stop
+            rates(t, x)
+            model.end_step()
+            model.enter_event_mode()
+            model.excite(point + 1 if t >= end else point)
+            model.settle(t)
+            model.enter_continuous_time_mode()
+            x = model.x
+        rows.append(x)
+    model.instance.free()
+    return rows

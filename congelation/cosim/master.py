@@ -13,6 +13,7 @@ import numpy as np
 
 from congelation.arguments import checked
 from congelation.cosim.choice import Lack, chosen, without
+from congelation.cosim.columns import Columns
 from congelation.cosim.coupling import Auto, Coupling, ModelExchange
 from congelation.cosim.coupling.model_exchange import Smooth
 from congelation.cosim.ensemble import Ensemble
@@ -26,7 +27,7 @@ from congelation.cosim.experiment import (
 from congelation.cosim.grid import GivenPoints, Grid
 from congelation.cosim.integration import integrate
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.recording import Columns, Output
+from congelation.cosim.recording import Output
 from congelation.cosim.result import Result, RunEnded, Statistics, Status
 from congelation.cosim.session import Progress, Session
 from congelation.cosim.sinks import Memory, Recorder
@@ -183,28 +184,20 @@ def perform(
     """
     if isinstance(experiment.given_coupling, Auto):
         choice = chosen(system, experiment, pool)
-        return choice.added_to(
-            perform(
-                system,
-                choice.experiment,
-                output=experiment.output if output is None else output,
-                progress=progress,
-                pool=pool,
-                points=points,
-                lacks=choice.lacks,
-            )
-        )
+        given = experiment.output if output is None else output
+        run = partial(perform, progress=progress, pool=pool, points=points, lacks=choice.lacks)
+        return choice.added_to(run(system, choice.experiment, output=given))
     begin = clock.perf_counter()
     folder = os.getcwd()
-    given = output if output is not None else experiment.output or Output()
-    outputs = (given,) if isinstance(given, Output) else given
+    wanted = output if output is not None else experiment.output or Output()
+    outputs = (wanted,) if isinstance(wanted, Output) else wanted
     if not outputs or any(further.sink is None for further in outputs[1:]):
         raise InvalidInput("of several outputs, all but the first need a sink")
     require_resolved_periods(experiment, outputs)
+    coupling = experiment.chosen_coupling
+    exchange = isinstance(coupling, ModelExchange)
     # What holds its inputs sends no derivatives but those that are connected explicitly.
-    exchange = isinstance(experiment.chosen_coupling, ModelExchange)
-    held = not (exchange or experiment.chosen_coupling.needs_derivatives)
-    resolved = without(system.resolve(held=held), lacks)
+    resolved = without(system.resolve(held=not (exchange or coupling.needs_derivatives)), lacks)
     require_abilities(resolved, experiment)
     recorded = resolved.recorded(experiment.record)
     names = tuple(item.name for item in recorded)
@@ -212,9 +205,7 @@ def perform(
     memory = Memory()
     status, message, statistics = Status.COMPLETED, Status.COMPLETED.value, Statistics()
     with ExitStack() as stack:
-        recorders = [
-            stack.enter_context(Recorder(names, output.sink or memory)) for output in outputs
-        ]
+        recorders = [stack.enter_context(Recorder(names, one.sink or memory)) for one in outputs]
         lender = pool if pool is not None else stack.enter_context(SlavePool())
         try:
             slaves = stack.enter_context(lender.lend(resolved.members, exchange=exchange))
@@ -224,10 +215,8 @@ def perform(
                 slaves,
                 partial(_set_up, resolved, slaves, recorded, experiment, kinds),
             )
-            rows = [
-                output.rows(session.columns, recorder, visits=exchange)
-                for output, recorder in zip(outputs, recorders, strict=True)
-            ]
+            pairs = zip(outputs, recorders, strict=True)
+            rows = [one.rows(session.columns, to, visits=exchange) for one, to in pairs]
             session.begin(resolved, rows, progress)
             status, message = _ended(session, experiment, points)
             statistics = session.statistics(clock.perf_counter() - begin)
@@ -238,10 +227,11 @@ def perform(
             status, message = Status.SLAVE_FAILED, str(error)
     if os.getcwd() != folder:
         os.chdir(folder)  # an FMU had left it, which would move what the caller writes next
-    in_memory = outputs[0].sink is None
-    table = memory.rows() if in_memory else recorders[0].last.reshape(-1, 1 + len(names))
-    name = experiment.chosen_coupling.name
-    return Result(status, message, table[:, 0], names, table[:, 1:], statistics, None, name)
+    last = recorders[0].last.reshape(-1, 1 + len(names))
+    table = memory.rows() if outputs[0].sink is None else last
+    return Result(
+        status, message, table[:, 0], names, table[:, 1:], statistics, None, coupling.name
+    )
 
 
 def _set_up(

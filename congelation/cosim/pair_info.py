@@ -9,8 +9,8 @@ and compared with the accurate coupling.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +22,8 @@ from congelation.cosim.pool import SlavePool
 from congelation.cosim.recording import Output
 from congelation.cosim.system import Component, Connection, System
 from congelation.errors import CongelationError, InvalidInput
-from congelation.fmi.info import FmuInfo, fmu_info
+from congelation.fmi.description import EVENT
+from congelation.fmi.info import FmuInfo, VariableInfo, fmu_info
 
 __all__ = ["Info", "PairInfo", "Trial", "info"]
 
@@ -43,6 +44,9 @@ RESOLUTION = 1.05
 
 REFERENCE_TOLERANCE = 1e-6
 DEFAULT_STOP_TIME = 10.0
+
+NAMED = 6
+"""Names that a message lists at most."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +77,8 @@ class PairInfo:
         By falling step.
     how : str
         How the steps were found, or why they were not.
+    warnings : tuple of str
+        What may not fit: units that cannot be compared, FMUs of different specs.
     """
 
     connections: tuple[str, ...]
@@ -82,9 +88,11 @@ class PairInfo:
     extrapolated: bool
     trials: tuple[Trial, ...]
     how: str
+    warnings: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        lines = ["the pair, connected by name", *(f"  {link}" for link in self.connections), ""]
+        lines = ["the pair, connected by name", *(f"  {link}" for link in self.connections)]
+        lines += [*(f"warning: {line}" for line in self.warnings), ""]
         if self.trials:
             lines += [
                 "largest communication step with held inputs",
@@ -137,7 +145,7 @@ def info(*fmus: Path | str, stop_time: float | None = None) -> Info:
         a plant and its controller.
     stop_time : float, optional
         Seconds that the trial runs of a pair take; by default the shorter of the stop times that
-        the FMUs propose.
+        the FMUs propose, or 10 where they propose none.
 
     Returns
     -------
@@ -147,7 +155,9 @@ def info(*fmus: Path | str, stop_time: float | None = None) -> Info:
     Raises
     ------
     InvalidInput
-        A file is no FMU for co-simulation under FMI 2.0, or two have nothing to connect.
+        A file is no FMU for co-simulation under FMI 2.0, or two have nothing to connect, or do
+        not fit: designs of different forms or orders, vectors of different lengths, units that
+        measure different things.
 
     Examples
     --------
@@ -166,60 +176,162 @@ def info(*fmus: Path | str, stop_time: float | None = None) -> Info:
             raise InvalidInput("a stop time is of the trial runs of a pair; give a second FMU")
         return Info(found)
     proposed = [fmu.stop_time for fmu in found if fmu.stop_time]
+    whence = ""
     if stop_time is None:
         stop_time = min(proposed, default=DEFAULT_STOP_TIME)
+        whence = "the stop time that the FMUs propose" if proposed else "as the FMUs propose none"
     if not (math.isfinite(stop_time) and stop_time > 0.0):
         raise InvalidInput(f"stop time {stop_time:g} is not valid; give seconds, more than 0")
-    return Info(found, _pair(found[0], found[1], stop_time))
+    return Info(found, _pair(found[0], found[1], stop_time, whence))
 
 
-def _pair(one: FmuInfo, two: FmuInfo, stop_time: float) -> PairInfo:
+def _pair(one: FmuInfo, two: FmuInfo, stop_time: float, whence: str) -> PairInfo:
+    """What two FMUs do together; `whence` says why the runs end at `stop_time` by default."""
+    system, warnings = _connected(one, two)
+    links = tuple(map(str, system.connections))
+    names = [component.name for component in system.components]
+
+    def unsearched(reason: str) -> PairInfo:
+        how = f"Steps are not searched for: {reason}"
+        return PairInfo(links, stop_time, None, None, False, (), how, warnings)
+
+    driven = {connection.target for connection in system.connections}
+    for name, fmu, other in zip(names, (one, two), (two, one), strict=True):
+        if fmu.connect and driven.isdisjoint(f"{name}.{entry.name}" for entry in fmu.connect):
+            return unsearched(
+                f"nothing drives {name}, so this is no closed loop; {other.path.name} has the "
+                f"outputs {_listed(_proper(other.outputs))}."
+            )
+    stuck = [fmu.path.name for fmu in (one, two) if not (fmu.saves_state and fmu.varies_step)]
+    if stuck:
+        return unsearched(
+            f"{' and '.join(stuck)} cannot take steps back, which the accurate coupling needs."
+        )
+    try:
+        with SlavePool() as pool:
+            return replace(_searched(system, links, stop_time, whence, pool), warnings=warnings)
+    except _NoReference as error:
+        return unsearched(f"the accurate coupling does not get there. {error}")
+
+
+def _connected(one: FmuInfo, two: FmuInfo) -> tuple[System, tuple[str, ...]]:
+    """Two FMUs connected by the names of their variables, and what may not fit of them.
+
+    Raises
+    ------
+    InvalidInput
+        They have nothing to connect, or do not fit; everything that does not is named.
+    """
     names = (one.path.stem, two.path.stem)
     if names[0] == names[1]:
         names = (f"{names[0]}_1", f"{names[1]}_2")
-    connections = [
+    connections = tuple(
         Connection(f"{source}.{entry.name}", f"{target}.{entry.name}")
         for source, target, giver, taker in ((*names, one, two), (*names[::-1], two, one))
         for entry in taker.connect
         if entry.name in {output.name for output in giver.outputs}
+    )
+    components = (Component(names[0], one.path), Component(names[1], two.path))
+    misfits = [*_of_vectors(one, two), *_of_vectors(two, one)]
+    doubts = []
+    for connection in connections:
+        try:
+            resolved = System(components, (connection,)).resolve(held=True)
+        except InvalidInput as error:
+            misfits.append(str(error))
+        else:
+            links = (*resolved.links, *resolved.discrete_links)
+            doubts += [f"connection '{link.name}': {link.doubt}" for link in links if link.doubt]
+    driven = {connection.target for connection in connections}
+    undriven = [
+        f"no output of {other.path.name} has the name of {name}.{', '.join(left)}"
+        for name, fmu, other in zip(names, (one, two), (two, one), strict=True)
+        if (left := [v.name for v in fmu.connect if f"{name}.{v.name}" not in driven])
     ]
+    # A law for another form may still run on a plant whose names and units agree.
+    of_designs = [*_of_designs(one, two)]
+    if misfits or (of_designs and undriven):
+        partners = [
+            f"{fmu.path.name} was built with {partner}.fmu"
+            for fmu in (one, two)
+            if (partner := _partner(fmu)) is not None
+        ]
+        what = "; ".join([*of_designs, *(misfits or undriven)])
+        remedy = "; ".join(partners) or "give FMUs whose outputs and inputs agree in name and unit"
+        raise InvalidInput(f"{one.path.name} and {two.path.name} do not fit: {what}; {remedy}")
     if not connections:
+        has = "; ".join(
+            f"{fmu.path.name} has the outputs {_listed(_proper(fmu.outputs))} and the inputs "
+            f"{_listed(fmu.connect)}"
+            for fmu in (one, two)
+        )
         raise InvalidInput(
             f"{one.path.name} and {two.path.name} have nothing to connect: no output of the one "
-            "has the name of an input of the other"
+            f"has the name of an input of the other; {has}"
         )
-    components = (Component(names[0], one.path), Component(names[1], two.path))
-    system = System(components, tuple(connections))
-    links = tuple(map(str, connections))
-    driven = {connection.target for connection in connections}
-    left = {
-        name: [entry.name for entry in fmu.connect if f"{name}.{entry.name}" not in driven]
-        for name, fmu in zip(names, (one, two), strict=True)
-    }
-    alone = [
-        f"{name}.{', '.join(left[name])}"
-        for name, fmu in zip(names, (one, two), strict=True)
-        if left[name] and len(left[name]) == len(fmu.connect)
-    ]
-    if alone:
-        how = (
-            f"Steps are not searched for: no output of the other FMU has the name of {alone[0]}, "
-            "so this is no closed loop."
+    specs = [fmu.design for fmu in (one, two) if fmu.design is not None and _partner(fmu)]
+    if len({(spec.plant, spec.controller) for spec in specs}) > 1:
+        titles = " and ".join(f"'{spec.title}'" for spec in specs)
+        of_designs.append(
+            f"they were built from different specs, {titles}: the law is that for the plant of "
+            "its own spec"
         )
-        return PairInfo(links, stop_time, None, None, False, (), how)
-    stuck = [fmu.path.name for fmu in (one, two) if not (fmu.saves_state and fmu.varies_step)]
-    if stuck:
-        how = (
-            f"Steps are not searched for: {' and '.join(stuck)} cannot take steps back, which the "
-            "accurate coupling needs."
-        )
-        return PairInfo(links, stop_time, None, None, False, (), how)
-    try:
-        with SlavePool() as pool:
-            return _searched(system, links, stop_time, pool)
-    except _NoReference as error:
-        how = f"Steps are not searched for: the accurate coupling does not get there. {error}"
-        return PairInfo(links, stop_time, None, None, False, (), how)
+    return System(components, connections), (*doubts, *undriven, *of_designs)
+
+
+def _of_designs(one: FmuInfo, two: FmuInfo) -> Iterator[str]:
+    """That a plant and a controller of `congelation build` are of other forms or orders."""
+    designs = [fmu.design for fmu in (one, two) if fmu.design is not None]
+    if {design.role for design in designs} != {"plant", "controller"}:
+        return
+    plant, controller = sorted(designs, key=lambda design: design.role != "plant")
+    if plant.form != controller.form:
+        yield f"the plant is of the form '{plant.form}', the controller of '{controller.form}'"
+    if plant.order != controller.order and None not in (plant.order, controller.order):
+        yield f"the plant is of order {plant.order}, the controller of order {controller.order}"
+
+
+def _of_vectors(giver: FmuInfo, taker: FmuInfo) -> Iterator[str]:
+    """Each vector of inputs of the one that the other gives with other indices.
+
+    A scalar and a vector of one element, u and u[1], have other names but the same size.
+    """
+    given, taken = (_indices(entries) for entries in (giver.outputs, taker.connect))
+    for name in taken.keys() & given.keys():
+        if given[name] != taken[name] and len(given[name] | taken[name]) > 2:
+            gives, takes = (
+                ", ".join(f"{name}{index}" for index in sorted(indices))
+                for indices in (given[name], taken[name])
+            )
+            yield f"{giver.path.name} gives {gives}, and {taker.path.name} takes {takes}"
+
+
+def _indices(entries: Iterable[VariableInfo]) -> dict[str, set[str]]:
+    """The indices of each vector, written ``[1]``; a scalar has the empty one."""
+    found: dict[str, set[str]] = {}
+    for entry in entries:
+        name, bracket, rest = entry.name.partition("[")
+        found.setdefault(name, set()).add(bracket + rest)
+    return found
+
+
+def _partner(fmu: FmuInfo) -> str | None:
+    """The other FMU of the same spec."""
+    if fmu.design is None or fmu.design.role not in ("plant", "controller"):
+        return None
+    return fmu.design.controller if fmu.design.role == "plant" else fmu.design.plant
+
+
+def _proper(outputs: Iterable[VariableInfo]) -> list[VariableInfo]:
+    """Without derivatives and the announcement of jumps."""
+    return [entry for entry in outputs if not entry.name.startswith(("der(", EVENT))]
+
+
+def _listed(entries: Iterable[VariableInfo]) -> str:
+    """The names of variables in a row, the first of many."""
+    names = [entry.name for entry in entries]
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return ", ".join(names[:NAMED]) + more or "none"
 
 
 class _NoReference(CongelationError):
@@ -227,7 +339,7 @@ class _NoReference(CongelationError):
 
 
 def _searched(
-    system: System, links: tuple[str, ...], stop_time: float, pool: SlavePool
+    system: System, links: tuple[str, ...], stop_time: float, whence: str, pool: SlavePool
 ) -> PairInfo:
     """Halve the step until the error is 1 %, then find the two limits between the trials."""
     record = [str(connection.source) for connection in system.connections]
@@ -275,6 +387,11 @@ def _searched(
         "the largest distance of a connected output, relative to its peak; a step counts as stable "
         "where it is below 100 %. Other parameters, start values or profiles have other limits."
     )
+    if whence:
+        how += (
+            f" The runs end at {stop_time:g} s, {whence}; a loop that needs longer to show what it "
+            "does wants a longer stop time (--stop-time)."
+        )
     if horizon < stop_time:
         how += (
             f" Steps below {stop_time / steps:.2g} s were tried over ever shorter times, the last "

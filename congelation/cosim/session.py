@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from congelation.cosim.columns import Columns
 from congelation.cosim.compiled import (
     CHUNK,
     CompiledHeld,
@@ -18,7 +19,7 @@ from congelation.cosim.compiled import (
 from congelation.cosim.coupling import Coupling, Stepper
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
-from congelation.cosim.recording import Columns, Rows
+from congelation.cosim.recording import Rows
 from congelation.cosim.result import RunEnded, Statistics, Status
 from congelation.cosim.system import ResolvedSystem
 from congelation.errors import counted

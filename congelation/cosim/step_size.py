@@ -89,6 +89,33 @@ class Halving:
     found: float = 0.0
     estimate: float = 0.0
 
+    def judge(
+        self, relative: Floats, links: int, length: float, horizon: float
+    ) -> tuple[float, int, int]:
+        """Weigh the errors of a step, relative to nominal value plus size, shape (W,): those of
+        the links, then those of recorded values besides. Step and horizon are in seconds.
+
+        Returns
+        -------
+        tuple
+            The largest over the share of the tolerance that it may have, the power of the step
+            that it falls with, and its place.
+        """
+        seen = np.arange(len(relative)) < links
+        if length <= SHORTEST_JUDGED * horizon:
+            relative = np.where(seen, relative, 0.0)
+        even, least = SHARES * length / horizon, np.where(seen, LEAST_SHARE, LEAST_SHARE_UNSEEN)
+        lasting = relative * self.lasting / np.maximum(even, least)
+        passing = relative / np.where(seen, PASSING_SHARE, PASSING_SHARE_UNSEEN)
+        allowed = np.maximum(lasting, passing)
+        worst = int(allowed.argmax())
+        self.found = float(relative.max())
+        self.estimate = float(np.maximum(lasting, relative / PASSING_SHARE).max())
+        order = ORDER_HELD + 1 if even < least[worst] else ORDER_HELD
+        if passing[worst] >= lasting[worst]:
+            order = ORDER_PASSING
+        return float(allowed[worst]), order, worst
+
     def accepted(self, values: Floats) -> Halving:
         """After a step that ends with these judged values, shape (W,)."""
         left = PROBED if self.left == 0 else self.left - 1
@@ -171,23 +198,7 @@ def halved(
         halving.lasting = np.divide(lasting, size, out=np.ones(len(size)), where=size > lasting)
     scale = ensemble.judged_nominal + np.maximum(halving.sizes, np.abs(found))
     relative = np.abs(difference) / (2.0**ORDER_HELD - 1.0) / scale
-    if end - time <= SHORTEST_JUDGED * horizon:
-        relative[len(ensemble.links) :] = 0.0
-    halving.found = float(relative.max())
-    even = SHARES * (end - time) / horizon
-    links = len(ensemble.links)
-    lasting, passing = relative * halving.lasting, relative / PASSING_SHARE
-    lasting[:links] /= max(even, LEAST_SHARE)
-    lasting[links:] /= max(even, LEAST_SHARE_UNSEEN)
-    halving.estimate = float(np.maximum(lasting, passing).max())
-    passing[links:] = relative[links:] / PASSING_SHARE_UNSEEN
-    allowed = np.maximum(lasting, passing)
-    worst = int(allowed.argmax())
-    least = LEAST_SHARE if worst < links else LEAST_SHARE_UNSEEN
-    order = ORDER_HELD + 1 if even < least else ORDER_HELD
-    if passing[worst] >= lasting[worst]:
-        order = ORDER_PASSING
-    return Trial(rest.state, float(allowed[worst]), order, worst)
+    return Trial(rest.state, *halving.judge(relative, len(ensemble.links), end - time, horizon))
 
 
 def compared(

@@ -23,13 +23,13 @@ from congelation.cosim.abilities import (
     Lack,
     lack_of,
 )
+from congelation.cosim.columns import Columns
 from congelation.cosim.coupling import Coupling, Derivative, GaussSeidel, Hermite, Stepper
 from congelation.cosim.coupling.points import Points
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.experiment import Experiment, divides, slave_tolerance, step_count
 from congelation.cosim.pool import SlavePool
-from congelation.cosim.recording import Columns
 from congelation.cosim.result import RunEnded
 from congelation.cosim.session import Session
 from congelation.cosim.step_size import DECIDED, SMALLEST_ERROR

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
+import zipfile
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -55,6 +57,29 @@ class VariableInfo:
 
 
 @dataclass(frozen=True)
+class Design:
+    """What an FMU of `congelation build` says of the spec that it was built from.
+
+    Attributes
+    ----------
+    title, form : str
+    role : str
+        plant or controller.
+    plant, controller : str
+        The names of the two FMUs of the spec.
+    order : int or None
+        n, where the form has one.
+    """
+
+    title: str
+    form: str
+    role: str
+    plant: str
+    controller: str
+    order: int | None = None
+
+
+@dataclass(frozen=True)
 class FmuInfo:
     """What an FMU is.
 
@@ -79,6 +104,8 @@ class FmuInfo:
         The platforms and files that it can run on, ``linux64/Plant.so``.
     missing : str
         The binary that this machine needs and that it has not; empty where it can be run here.
+    design : Design or None
+        Of an FMU that `congelation build` wrote.
     """
 
     path: Path
@@ -95,6 +122,7 @@ class FmuInfo:
     varies_step: bool
     binaries: tuple[str, ...] = ()
     missing: str = ""
+    design: Design | None = None
 
     def __str__(self) -> str:
         abilities = [
@@ -174,7 +202,31 @@ def fmu_info(path: Path) -> FmuInfo:
         varies_step=known.can_vary_step,
         binaries=binaries,
         missing="" if wanted in binaries else wanted,
+        design=_design(path),
     )
+
+
+def _design(path: Path) -> Design | None:
+    """What ``resources/spec.json`` says; None where there is none that can be read so."""
+    with zipfile.ZipFile(path) as archive:
+        if _SPEC not in archive.namelist():
+            return None
+        try:
+            about = json.loads(archive.read(_SPEC))
+            order = about["structure"].get("n")
+            return Design(
+                title=str(about["title"]),
+                form=str(about["form"]),
+                role=str(about["role"]),
+                plant=str(about["plant"]),
+                controller=str(about["controller"]),
+                order=order if isinstance(order, int) else None,
+            )
+        except (ValueError, KeyError, TypeError, AttributeError):
+            return None  # another tool's file of that name
+
+
+_SPEC = "resources/spec.json"
 
 
 def _is_optional(name: str, inputs: set[str]) -> bool:

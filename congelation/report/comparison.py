@@ -159,6 +159,13 @@ def verdict(comparison: Comparison) -> Iterator[str]:
             f"{after} against {before}: {runs} can be compared; {len(comparison.alone)} have no "
             "counterpart, or more than one."
         )
+    options = [study.about.get("given", {}) for study in comparison.studies]
+    for name in dict.fromkeys([*options[0], *options[1]]):
+        if options[0].get(name) != options[1].get(name):
+            was, now = (
+                number(own[name]) if name in own else "that of the scenario" for own in options
+            )
+            yield f"An option of the command changed {name}: {was} before, {now} now."
     other = [pair for pair in pairs if pair.before.status != pair.after.status]
     if 0 < len(other) <= 3:
         ends = [f"{p.label} was {p.before.status} and is {p.after.status}" for p in other]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from congelation.errors import InvalidInput, counted
-from congelation.places import replace_whole
+from congelation.places import write_whole
 from congelation.report.axes import axes_of
 from congelation.report.comparison import (
     BY_VARIANT,
@@ -27,7 +27,7 @@ from congelation.report.comparison import (
 )
 from congelation.report.page_shell import Drawn, lines_of, opening, page, table
 from congelation.report.run_page import draw_overlaid, trajectory_of
-from congelation.report.summary import label_of, metric_value
+from congelation.report.summary import label_of, metric_value, number
 from congelation.report.verdict import listed, settling_rule
 from congelation.results.record import Study, Trajectory
 from congelation.results.results import Results
@@ -92,7 +92,7 @@ def write_comparison(directories: Sequence[Results], file: Path) -> tuple[Compar
         pieces += _inputs(comparison)
     pieces.append("</main>")
     text = page(title, pieces, {"variants": variants, "scales": scales})
-    replace_whole(file, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_whole(file, text)
     return found
 
 
@@ -162,11 +162,15 @@ def _most_changed(comparison: Comparison) -> Iterator[str]:
 
 
 def _inputs(comparison: Comparison) -> Iterator[str]:
-    """What differs in versions, FMUs and the text of the scenario."""
+    """What differs in versions, FMUs, options of the command and the text of the scenario."""
     first, second = (study.about for study in comparison.studies)
     named = [
-        {**about["versions"], **{k: f"{v['file']}, {v['sha256'][:16]}" for k, v in fmus.items()}}
-        for about, fmus in ((first, first["fmus"]), (second, second["fmus"]))
+        {
+            **about["versions"],
+            **{k: f"{v['file']}, {v['sha256'][:16]}" for k, v in about["fmus"].items()},
+            **{k: f"{number(v)} by an option" for k, v in about.get("given", {}).items()},
+        }
+        for about in (first, second)
     ]
     lines = [
         (name, [one, two])
@@ -175,7 +179,7 @@ def _inputs(comparison: Comparison) -> Iterator[str]:
     ]
     yield f"<h2>What went into {escape(comparison.names[1])} and {escape(comparison.names[0])}</h2>"
     if lines:
-        yield from table(comparison.names, lines, "Versions and FMUs that differ")
+        yield from table(comparison.names, lines, "Versions, FMUs and options that differ")
     else:
         yield "<p>The versions of the software and the FMUs are the same.</p>"
     change = [

@@ -36,6 +36,7 @@ def about(
         "scenario_file": scenario.file.name if scenario.file is not None else "",
         "scenario": scenario.text,
         "stop_time": scenario.experiment.stop_time,
+        "given": {f"experiment.{key}": getattr(scenario.experiment, key) for key in scenario.given},
         "varied": list(varied),
         "axes": [list(names) for names in axes],
         "units": {name: unit for name in varied if (unit := _unit_of_setting(name, descriptions))},

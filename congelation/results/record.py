@@ -125,8 +125,8 @@ class RunRecord(Outcome):
     replicate : int, optional
         Number of the repetition, from 1.
     settings : mapping
-        The values that differ between the runs of the study, by ``component.variable`` or
-        ``experiment.key``; None for a start value left to the FMU.
+        The values that differ between the runs of the study or that options of the command gave,
+        by ``component.variable`` or ``experiment.key``; None for a start value left to the FMU.
     fmus : mapping
         SHA-256 of the FMU of each component.
     seed : int, optional

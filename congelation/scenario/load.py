@@ -40,7 +40,7 @@ def load_scenario(file: Path | str, experiment: Mapping[str, object] | None = No
     """
     path, given = Path(file), dict(experiment or {})
     if path.suffix == ".ssp":
-        return _unless_variants_differ(read_ssp(path, given), given)
+        return _with_given(read_ssp(path, given), given)
     text, document = read_document(path)
     if "form" in document.data and "components" not in document.data:
         raise InvalidInput(
@@ -51,11 +51,11 @@ def load_scenario(file: Path | str, experiment: Mapping[str, object] | None = No
     if given and isinstance(table, Mapping):
         data = {**document.data, EXPERIMENT: replaced(table, given)}
         document = replace(document, data=data)
-    return _unless_variants_differ(Scenario.from_document(document, path, text), given)
+    return _with_given(Scenario.from_document(document, path, text), given)
 
 
-def _unless_variants_differ(scenario: Scenario, given: Mapping[str, object]) -> Scenario:
-    """The scenario, unless a variant changes a key that was given, too."""
+def _with_given(scenario: Scenario, given: Mapping[str, object]) -> Scenario:
+    """The scenario, which knows what was given, unless a variant changes such a key, too."""
     for key in given:
         for variant in scenario.variants:
             if f"{EXPERIMENT}.{key}" in variant.settings:
@@ -63,4 +63,4 @@ def _unless_variants_differ(scenario: Scenario, given: Mapping[str, object]) -> 
                     f"{scenario.place}: {EXPERIMENT}.{key} is what the variant '{variant.name}' "
                     "sets; change it in the file"
                 )
-    return scenario
+    return scenario.changed(given=tuple(given))

@@ -74,6 +74,8 @@ class Scenario:
         from the other fields.
     warnings : tuple of str
         What may be a mistake: forgotten connections, units that cannot be compared.
+    given : tuple of str
+        Keys of its experiment whose values options of a command gave in place of the file.
 
     Raises
     ------
@@ -109,6 +111,7 @@ class Scenario:
     open: tuple[str, ...] = ()
     measured: tuple[str, ...] | None = field(default=None, init=False)
     warnings: tuple[str, ...] = field(default=(), init=False)
+    given: tuple[str, ...] = field(default=(), init=False)
 
     def __post_init__(self) -> None:
         check_fields(self)

@@ -12,9 +12,9 @@ import hashlib
 import itertools
 import math
 import os
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, cast
@@ -33,7 +33,7 @@ from congelation.results.identity import (
 )
 from congelation.results.provenance import about
 from congelation.results.record import Outcome, RunRecord
-from congelation.results.store import Store
+from congelation.results.store import Comparison, Store
 from congelation.scenario.axes import Sweep
 from congelation.scenario.metrics import metric
 from congelation.scenario.parts import EXPERIMENT, Case, Scalar, Settings
@@ -56,8 +56,8 @@ FAILURES = (
 
 
 @dataclass(frozen=True)
-class Plan:
-    """A study to carry out.
+class Plan(Comparison):
+    """A study to carry out: what of it is missing, and what its runs have in common.
 
     Parameters
     ----------
@@ -65,26 +65,19 @@ class Plan:
         With every column recorded that its metrics need.
     store : Store
     job : Job
-    total : int
-        Runs of the study.
-    missing : sequence of int
-        The numbers of those to do.
-    others : int
-        Finished runs in the result directory that are none of these.
-    versions : tuple of str
-        Versions of the code that finished ones of these were done with.
-    base : mapping
-        The values without any change of the settings that differ between runs.
     """
 
     scenario: Scenario
     store: Store
     job: Job
-    total: int
-    missing: Sequence[int]
-    others: int
-    versions: tuple[str, ...]
-    base: Mapping[str, Scalar | None]
+
+    @cached_property
+    def base(self) -> Mapping[str, Scalar | None]:
+        """The settings that differ between runs, with the values that no variant changes: each
+        record holds all of them, also those that its own run leaves."""
+        case = self.scenario.case({})
+        names = varied_settings(self.scenario, self.job.swept)
+        return {name: _setting(case, name) for name in names}
 
     def tasks(self, numbers: Iterable[int] | None = None) -> Iterator[Task]:
         """The missing runs, or those with some numbers of the plan, in order."""
@@ -187,9 +180,8 @@ def plan_study(
     # The study: what its runs have in common, and how to read them. Other versions of packages
     # that only add to the provenance do not make it another study.
     described = {**about(scenario, varied_settings(scenario, swept), axes), "swept": swept}
-    study = content_hash(
-        [identity.plan(swept), {key: v for key, v in described.items() if key != "versions"}]
-    )
+    constant = {key: value for key, value in described.items() if key != "versions"}
+    study = content_hash([identity.plan(swept), constant])
     job = Job(
         study=study,
         scenario=scenario.changed(sweep=None, text=""),
@@ -205,26 +197,19 @@ def plan_study(
     )
     if write:
         store.begin(study, {**described, "planned": found.total})
-    # Each record holds all settings that differ between runs, also those that its own run leaves.
-    case = scenario.case({})
-    base = {name: _setting(case, name) for name in varied_settings(scenario, swept)}
-    return Plan(
-        scenario, store, job, found.total, found.missing, found.others, found.versions, base
-    )
+    return Plan(**vars(found), scenario=scenario, store=store, job=job)
 
 
 def _refuse_other_runs(store: Store, scenario: Scenario, swept: bool, resume: bool) -> None:
     """Raise InvalidInput where the directory has runs that the study may not be put beside."""
     done = store.count()
-    if not done:
+    if not done or (swept and resume):
         return
     if swept:
-        if not resume:
-            raise InvalidInput(
-                f"{store.root} holds {counted(done, 'finished run')}; give --resume to go on, "
-                "or another --out"
-            )
-        return
+        raise InvalidInput(
+            f"{store.root} holds {counted(done, 'finished run')}; give --resume to go on, "
+            "or another --out"
+        )
     newest = store.about()
     if newest.get("title") != scenario.title:
         raise InvalidInput(
@@ -236,10 +221,12 @@ def _refuse_other_runs(store: Store, scenario: Scenario, swept: bool, resume: bo
 
 
 def varied_settings(scenario: Scenario, swept: bool) -> tuple[str, ...]:
-    """Names of the settings that a variant changes, and of those that are swept."""
+    """Names of the settings that a variant changes, of those that are swept, and of those given."""
     by_variant = (name for variant in scenario.variants for name in variant.settings)
     by_sweep = _sweep(scenario).names() if swept else ()
-    return tuple(dict.fromkeys((*by_variant, *by_sweep)))
+    # What options give is the same in all runs of a study; runs of others in the folder have not.
+    by_options = (f"{EXPERIMENT}.{key}" for key in scenario.given)
+    return tuple(dict.fromkeys((*by_variant, *by_sweep, *by_options)))
 
 
 def _sweep(scenario: Scenario) -> Sweep:

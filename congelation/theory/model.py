@@ -26,7 +26,9 @@ __all__ = [
     "Signals",
     "State",
     "Variables",
+    "control",
     "matrix",
+    "optional",
     "scalar",
     "vector",
 ]
@@ -100,6 +102,11 @@ class Variables:
 def scalar(name: str, description: str, unit: str = "") -> Variables:
     """A scalar variable, named without an index."""
     return Variables(name, ca.SX.sym(name), description, unit, indexed=False)
+
+
+def optional(wanted: bool, name: str, description: str, unit: str = "") -> Variables | None:
+    """A scalar variable of a law, where its options want it."""
+    return scalar(name, description, unit) if wanted else None
 
 
 def vector(name: str, n: int, description: str, unit: str | tuple[str, ...] = "") -> Variables:
@@ -183,6 +190,11 @@ class Output:
 
     variables: Variables
     differentiated: bool = False
+
+
+def control(u: ca.SX, description: str) -> Output:
+    """The control of a law as an output."""
+    return Output(Variables("u", ca.SX(u), description, indexed=False), differentiated=True)
 
 
 @dataclass(frozen=True)

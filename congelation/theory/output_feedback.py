@@ -18,131 +18,23 @@ from congelation.theory.model import (
     Parameter,
     State,
     Variables,
-    matrix,
-    scalar,
+    control,
     vector,
 )
 from congelation.theory.observer_form import checked_orders
-from congelation.theory.options import Options, reference
+from congelation.theory.options import Options
+from congelation.theory.output_feedback_symbols import (
+    OutputFeedbackStep,
+    OutputFeedbackSymbols,
+    Partial,
+)
 
 __all__ = [
     "OutputFeedbackDesign",
-    "OutputFeedbackStep",
-    "OutputFeedbackSymbols",
     "output_feedback_controller",
     "output_feedback_design",
     "output_feedback_model",
 ]
-
-
-@dataclass(frozen=True)
-class OutputFeedbackSymbols:
-    """The symbols that the law is a function of, beside those of the K-filter.
-
-    None where the options of the law have no use for one.
-    """
-
-    y: Variables
-    theta_hat: Variables
-    rho_hat: Variables
-    c: Variables
-    d: Variables
-    Gamma: Variables
-    gamma: Variables
-    damping: Variables
-    sign_b_m: Variables
-    delta: Variables | None = None
-    delta_1: Variables | None = None
-    corrected: Variables | None = None
-    yr: Variables | None = None
-    q: Variables | None = None
-    q_d: Variables | None = None
-    D_hat: Variables | None = None
-    gamma_D: Variables | None = None
-
-    @classmethod
-    def of(cls, rho: int, q: int, options: Options) -> OutputFeedbackSymbols:
-        """The symbols of a law of relative degree rho with q = m + 1 + n parameters."""
-        found = cls(
-            y=scalar("y", "Output y of the plant (27)"),
-            theta_hat=vector("theta_hat", q, "Estimate of [b, ell_a], (55)"),
-            rho_hat=scalar("rho_hat", "Estimate of 1/b_m, (54)"),
-            c=vector("c", rho, "Decay rates c_i of (49)-(51)"),
-            d=vector("d", rho, "Damping d_i against the estimation error, (49)-(51)"),
-            Gamma=matrix("Gamma", q, q, "Adaptation gain of (55)"),
-            gamma=scalar("gamma", "Adaptation gain of (54)"),
-            damping=scalar("damping", "True: Controller 1, with damping; false: Controller 2"),
-            sign_b_m=scalar("sign_b_m", "Sign of the high-frequency gain b_m, Assumption 3"),
-        )
-        if options.tracking:
-            found = replace(found, yr=reference(rho))
-        if options.unknown_radius:
-            found = replace(
-                found,
-                D_hat=scalar("D_hat", "Estimate of the damping that the unknown radius needs"),
-                gamma_D=scalar("gamma_D", "Adaptation gain of D_hat"),
-            )
-        else:
-            found = replace(
-                found,
-                delta=scalar("delta", "Radius of a(t), Assumption 2"),
-                delta_1=scalar("delta_1", "Radius of a_(n-1)(t) alone, at most delta"),
-                corrected=scalar("corrected", "True: corrected damping; false: as printed in (59)"),
-            )
-            if options.tracking:
-                weight = scalar("q", "Weight of the reference in Young's inequality")
-                found = replace(found, q=weight)
-            if options.disturbance:
-                weight = scalar("q_d", "Weight of the disturbance in Young's inequality")
-                found = replace(found, q_d=weight)
-        return found
-
-    @property
-    def z_1(self) -> ca.SX:
-        """z_1 of (45): y, or y - y_r."""
-        y = ca.SX(self.y.symbol)
-        return y if self.yr is None else y - self.yr.symbol[0]
-
-    def reference(self, order: int) -> ca.SX:
-        """y_r^(order), 0 without a reference."""
-        return ca.SX(0) if self.yr is None else self.yr.symbol[order]
-
-
-@dataclass(frozen=True)
-class Partial:
-    """The partial derivatives of a virtual control, as rows."""
-
-    y: ca.SX
-    eta: ca.SX
-    lambda_: ca.SX
-    theta_hat: ca.SX
-    rho_hat: ca.SX
-    D_hat: ca.SX
-    yr: ca.SX
-
-
-@dataclass(frozen=True)
-class OutputFeedbackStep:
-    """Step i of the recursion.
-
-    Attributes
-    ----------
-    z, alpha : casadi.SX, (1, 1)
-        z_i of (45)-(46), alpha_i of (49)-(51).
-    w : casadi.SX, (m + 1 + n, 1)
-        Row i of W_theta^T in (57): what multiplies ell - theta_hat in z_i'.
-    tau, slope : casadi.SX, (m + 1 + n, 1)
-        tau_i of (47)-(48), and the slope of the adaptation law there (w for the gradient law).
-    dalpha : Partial
-        Partial derivatives of alpha_{i-1}.
-    """
-
-    z: ca.SX
-    alpha: ca.SX
-    w: ca.SX
-    tau: ca.SX
-    slope: ca.SX
-    dalpha: Partial
 
 
 @dataclass(frozen=True)
@@ -176,7 +68,13 @@ class OutputFeedbackDesign:
     @property
     def alphabar_1(self) -> ca.SX:
         """alphabar_1 of (49), without its damping multiplied by the estimate of 1/b_m."""
-        return _alphabar_1(self)
+        symbols, k_filter, z_1 = self.symbols, self.filter, self.symbols.z_1
+        return (
+            -(symbols.c.symbol[0] + symbols.d.symbol[0]) * z_1
+            + _damping(self) * z_1
+            - second_row(k_filter.xi)
+            - _omegabar(k_filter, symbols.y.symbol).T @ symbols.theta_hat.symbol
+        )
 
     @property
     def u(self) -> ca.SX:
@@ -191,8 +89,11 @@ class OutputFeedbackDesign:
 
     @property
     def rho_hat_rate(self) -> ca.SX:
-        """rho_hat' of (54)."""
-        return _rho_hat_rate(self)
+        """rho_hat' = -gamma sgn(b_m) (alphabar_1 + y_r') z_1, (54)."""
+        symbols, law, z_1 = self.symbols, self.rho_adaptation, self.symbols.z_1
+        wanted = self.alphabar_1 + symbols.reference(1)
+        regressor = law.regressor(-symbols.sign_b_m.symbol * wanted, z_1)
+        return symbols.gamma.symbol * law.rate(regressor * z_1)
 
     @property
     def D_hat_rate(self) -> ca.SX:
@@ -299,37 +200,17 @@ def _omegabar(k_filter: KFilter, y: ca.SX) -> ca.SX:
     return omegabar
 
 
-def _alphabar_1(design: OutputFeedbackDesign) -> ca.SX:
-    """alphabar_1 of (49)."""
-    symbols, k_filter = design.symbols, design.filter
-    z_1 = symbols.z_1
-    return (
-        -(symbols.c.symbol[0] + symbols.d.symbol[0]) * z_1
-        + _damping(design) * z_1
-        - second_row(k_filter.xi)
-        - _omegabar(k_filter, symbols.y.symbol).T @ symbols.theta_hat.symbol
-    )
-
-
 def _feedforward(design: OutputFeedbackDesign, order: int) -> ca.SX:
     """rho_hat y_r^(order), what v_{m,order+1} is to follow; 0 without a reference."""
     symbols = design.symbols
     return ca.SX(0) if symbols.yr is None else symbols.rho_hat.symbol * symbols.reference(order)
 
 
-def _rho_hat_rate(design: OutputFeedbackDesign) -> ca.SX:
-    """rho_hat' = -gamma sgn(b_m) (alphabar_1 + y_r') z_1, (54)."""
-    symbols, law, z_1 = design.symbols, design.rho_adaptation, design.symbols.z_1
-    wanted = _alphabar_1(design) + symbols.reference(1)
-    regressor = law.regressor(-symbols.sign_b_m.symbol * wanted, z_1)
-    return symbols.gamma.symbol * law.rate(regressor * z_1)
-
-
 def _first_step(design: OutputFeedbackDesign) -> OutputFeedbackStep:
     """Step 1: (45), (47), (49)."""
     symbols, k_filter, law = design.symbols, design.filter, design.adaptation
     y, z = symbols.y.symbol, symbols.z_1  # (45)
-    alpha = symbols.rho_hat.symbol * _alphabar_1(design)  # (49)
+    alpha = symbols.rho_hat.symbol * design.alphabar_1  # (49)
     if k_filter.rho == 1:
         # Here b_m (u + v_{m,2}) = b_m alpha_1 exactly: no z_2, so b_m is not estimated.
         w = _omegabar(k_filter, y)
@@ -381,7 +262,7 @@ def _beta(design: OutputFeedbackDesign, dalpha: Partial) -> ca.SX:
         + dalpha.eta @ k_filter.eta_rate(y)
         + k_filter.k.symbol[i - 1] * k_filter.v[-1][0]
         + dalpha.lambda_ @ free_lambda_rate
-        + (dalpha.rho_hat + symbols.reference(i - 1)) * _rho_hat_rate(design)
+        + (dalpha.rho_hat + symbols.reference(i - 1)) * design.rho_hat_rate
         + known
     )
 
@@ -460,9 +341,7 @@ def output_feedback_model(design: OutputFeedbackDesign) -> Model:
         ),
         gains=design.filter_design.gains,
         outputs=(
-            Output(
-                Variables("u", design.u, "Control u of (53)", indexed=False), differentiated=True
-            ),
+            control(design.u, "Control u of (53)"),
             *(Output(v) for v in estimates),
             Output(Variables("z", design.z, "Error variables z of (45)-(46)")),
         ),

@@ -16,7 +16,16 @@ from congelation.errors import InvalidInput
 from congelation.theory.adaptation import Adaptation, AdaptationFactory, Joint, gradient
 from congelation.theory.expressions import known_variations
 from congelation.theory.matrices import upper_shift
-from congelation.theory.model import Domain, Input, Model, Output, Parameter, State, Variables
+from congelation.theory.model import (
+    Domain,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    State,
+    Variables,
+    control,
+)
 from congelation.theory.options import Options
 from congelation.theory.state_feedback_factors import (
     control_factor,
@@ -29,6 +38,7 @@ from congelation.theory.state_feedback_factors import (
     time_factor,
 )
 from congelation.theory.state_feedback_symbols import (
+    Partial,
     StateFeedbackStep,
     StateFeedbackSymbols,
 )
@@ -187,10 +197,8 @@ def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
         z -= yr[i - 1]
     eta = ca.SX(0, 1) if symbols.eta is None else symbols.eta.symbol
     t = ca.SX(0, 1) if symbols.t is None else symbols.t.symbol
-    dalpha_dx, dalpha_dtheta, dalpha_dyr, dalpha_deta, dalpha_dt = _gradient(
-        alpha_before, x, estimates, yr, eta, t
-    )
-    m = _e(i, n) - dalpha_dx  # what multiplies x', and so a disturbance, in z_i'
+    dalpha = _gradient(alpha_before, x, estimates, yr, eta, t)
+    m = _e(i, n) - dalpha.x  # what multiplies x', and so a disturbance, in z_i'
     w = ca.horzcat(*design.regressors.at(x)) @ m.T  # (13)
     v = w if design.Upsilon is None else design.Upsilon.T @ w
     zeta, T, drift, E, wbar, vbar = (symbols.row() for _ in range(6))
@@ -202,7 +210,7 @@ def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
     else:
         T, E = state_factor(symbols, steps), time_factor(symbols, steps)
         drift = drift_factor(symbols, steps, law)
-        wbar = regressor_factor(design.factors, ca.vertcat(*(s.T for s in steps), T), dalpha_dx)
+        wbar = regressor_factor(design.factors, ca.vertcat(*(s.T for s in steps), T), dalpha.x)
         vbar = wbar if design.Upsilon is None else design.Upsilon.T @ wbar
         mixed = (*(s.wbar for s in steps), wbar)
         zeta[:n] += parameter_damping(symbols, tuple(rows[:, :n] for rows in mixed))
@@ -220,35 +228,19 @@ def _step(design: StateFeedbackDesign) -> StateFeedbackStep:
     alpha = (  # (15)
         -z_before
         - symbols.c.symbol[i - 1] * z
-        + dalpha_dx @ (ca.DM(upper_shift(n)) @ x)
+        + dalpha.x @ (ca.DM(upper_shift(n)) @ x)
         - v.T @ estimates
-        + dalpha_dtheta @ Gamma @ law.rate(tau)
+        + dalpha.estimates @ Gamma @ law.rate(tau)
         + (mu + zeta)[:i] @ z_all
     )
     if symbols.yr is not None:
-        alpha += dalpha_dyr[:n] @ yr[1:]
+        alpha += dalpha.yr[:n] @ yr[1:]
     if symbols.eta is not None and symbols.decay is not None:
-        alpha -= dalpha_deta * symbols.decay.symbol * symbols.eta.symbol
+        alpha -= dalpha.eta * symbols.decay.symbol * symbols.eta.symbol
     if symbols.t is not None:
-        alpha += dalpha_dt
+        alpha += dalpha.t
     return StateFeedbackStep(
-        z,
-        alpha,
-        m,
-        w,
-        wbar,
-        v,
-        vbar,
-        tau,
-        slope,
-        mu,
-        zeta,
-        dalpha_dx,
-        dalpha_dtheta,
-        dalpha_dyr,
-        T,
-        drift,
-        E,
+        z, alpha, m, w, wbar, v, vbar, tau, slope, mu, zeta, dalpha, T, drift, E
     )
 
 
@@ -260,11 +252,10 @@ def _before(design: StateFeedbackDesign) -> tuple[ca.SX, ca.SX, ca.SX]:
     return last.z, last.alpha, last.tau
 
 
-def _gradient(alpha: ca.SX, *symbols: ca.SX) -> list[ca.SX]:
-    """The partial derivatives of alpha, as rows, from one reverse sweep."""
+def _gradient(alpha: ca.SX, *symbols: ca.SX) -> Partial:
+    """The partial derivatives of alpha with respect to x, .., t, from one reverse sweep."""
     ends = np.cumsum([0, *(v.numel() for v in symbols)]).tolist()
-    parts: list[ca.SX] = ca.horzsplit(ca.jacobian(alpha, ca.vertcat(*symbols)), ends)
-    return parts
+    return Partial(*ca.horzsplit(ca.jacobian(alpha, ca.vertcat(*symbols)), ends))
 
 
 def _correction(steps: tuple[StateFeedbackStep, ...], step_rate: ca.SX, row: ca.SX) -> ca.SX:
@@ -273,7 +264,7 @@ def _correction(steps: tuple[StateFeedbackStep, ...], step_rate: ca.SX, row: ca.
     -sigma_{j,i} = (d alpha_{j-1}/d theta_hat) Gamma w_i; a modified law has its slope for w_i.
     """
     for j, step in enumerate(steps):
-        row[j] = step.dalpha_dtheta @ step_rate
+        row[j] = step.dalpha.estimates @ step_rate
     return row
 
 
@@ -338,10 +329,7 @@ def state_feedback_model(design: StateFeedbackDesign) -> Model:
             *(q for law in laws if law is not None for q in law.parameters),
         ),
         outputs=(
-            Output(
-                Variables("u", design.u, "Control u = alpha_n of (19)", indexed=False),
-                differentiated=True,
-            ),
+            control(design.u, "Control u = alpha_n of (19)"),
             *(Output(v) for v in estimates),
             Output(Variables("z", design.z, "Error variables z of (12)")),
         ),

@@ -86,11 +86,11 @@ def control_factor(symbols: StateFeedbackSymbols, steps: Steps) -> ca.SX:
     if i > 1:
         row -= symbols.row(i - 2)
     for j in range(i - 1):
-        row += last.dalpha_dx[j] * steps[j + 1].T
+        row += last.dalpha.x[j] * steps[j + 1].T
         if symbols.yr is not None:
-            row[n + j + 1] += last.dalpha_dyr[j]
+            row[n + j + 1] += last.dalpha.yr[j]
     for j, step in enumerate(steps):
-        row[j] += last.dalpha_dtheta @ symbols.estimate_gain @ step.slope
+        row[j] += last.dalpha.estimates @ symbols.estimate_gain @ step.slope
     return row + last.drift + last.mu + last.zeta + last.E
 
 

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import casadi as ca
 
-from congelation.theory.model import Variables, matrix, scalar, vector
+from congelation.theory.model import Variables, matrix, optional, scalar, vector
 from congelation.theory.options import Options, reference
 
-__all__ = ["StateFeedbackStep", "StateFeedbackSymbols", "Steps"]
+__all__ = ["Partial", "StateFeedbackStep", "StateFeedbackSymbols", "Steps"]
 
 
 @dataclass(frozen=True)
@@ -39,67 +40,44 @@ class StateFeedbackSymbols:
     @classmethod
     def of(cls, n: int, p: int, options: Options) -> StateFeedbackSymbols:
         """The symbols of a law."""
-        found = cls(
-            x=vector("x", n, "State x of the plant (9)"),
-            theta_hat=vector("theta_hat", p, "Estimate of theta, (19)"),
-            c=vector("c", n, "Decay rates c_i of (15)"),
-            Gamma=matrix("Gamma", p, p, "Adaptation gain of (19)"),
-            damping=scalar("damping", "True: Controller 1, with damping; false: Controller 2"),
-        )
-        if options.Upsilon:
+        bound, unknown = options.bound_estimator, options.unknown_radius
+        gain, tracking, structured = options.varying_gain, options.tracking, bool(options.Upsilon)
+        q, about = p, "Estimate of theta, (19)"
+        if structured:
             q = len(options.Upsilon[0])
             about = "Estimate of vartheta in theta(t) = Upsilon(t) vartheta + theta_u(t)"
-            found = replace(
-                found,
-                theta_hat=vector("theta_hat", q, about),
-                Gamma=matrix("Gamma", q, q, found.Gamma.description),
-                t=scalar("t", "Time, of which Upsilon(t) is a function", "s"),
-            )
-        if options.bound_estimator:
-            about = "True: the bound is estimated; false: Controller 2"
-            found = replace(
-                found,
-                damping=scalar("damping", about),
-                D_hat=scalar("D_hat", "Estimate of the bound of theta(t) - ell"),
-                gamma_D=scalar("gamma_D", "Adaptation gain of D_hat"),
-                eta=scalar("eta", "Width in which tanh stands for a sign"),
-                decay=scalar("decay", "Rate at which eta falls, eta' = -decay eta", "1/s"),
-            )
-        else:
-            found = replace(found, epsilon=scalar("epsilon", "Weight in Young's inequality, (26)"))
-        if options.unknown_radius:
-            found = replace(
-                found,
-                D_hat=scalar("D_hat", "Estimate of epsilon^2 delta^2 / 2"),
-                gamma_D=scalar("gamma_D", "Adaptation gain of D_hat"),
-            )
-        elif not options.bound_estimator:
-            delta = scalar("delta", "Radius of theta(t), Assumption 1")
-            found = replace(found, delta=delta)
-        if options.tracking:
-            found = replace(found, yr=reference(n))
-            if not options.bound_estimator:
-                weight = scalar("epsilon_r", "Weight of the reference in Young's inequality")
-                found = replace(found, epsilon_r=weight)
-        if options.disturbance:
-            weight = scalar("epsilon_d", "Weight of the disturbance in Young's inequality")
-            found = replace(found, epsilon_d=weight)
-        if options.varying_gain:
-            found = replace(
-                found,
-                rho_hat=scalar("rho_hat", "Estimate of 1/inf |b(t)|, with the sign of b"),
-                gamma=scalar("gamma", "Adaptation gain of rho_hat"),
-                sign_b=scalar("sign_b", "Sign of the input gain b(t)"),
-            )
-            if options.tracking:
-                weight = scalar("epsilon_b", "Weight of the reference beside the gain b(t)")
-                found = replace(found, epsilon_b=weight)
-        return found
+        damping = "the bound is estimated" if bound else "Controller 1, with damping"
+        D_hat = "the bound of theta(t) - ell" if bound else "epsilon^2 delta^2 / 2"
+        weight = "Weight of the {} in Young's inequality"
+        return cls(
+            x=vector("x", n, "State x of the plant (9)"),
+            theta_hat=vector("theta_hat", q, about),
+            c=vector("c", n, "Decay rates c_i of (15)"),
+            Gamma=matrix("Gamma", q, q, "Adaptation gain of (19)"),
+            damping=scalar("damping", f"True: {damping}; false: Controller 2"),
+            epsilon=optional(not bound, "epsilon", "Weight in Young's inequality, (26)"),
+            delta=optional(not (bound or unknown), "delta", "Radius of theta(t), Assumption 1"),
+            yr=reference(n) if tracking else None,
+            epsilon_r=optional(tracking and not bound, "epsilon_r", weight.format("reference")),
+            epsilon_d=optional(options.disturbance, "epsilon_d", weight.format("disturbance")),
+            D_hat=optional(bound or unknown, "D_hat", f"Estimate of {D_hat}"),
+            gamma_D=optional(bound or unknown, "gamma_D", "Adaptation gain of D_hat"),
+            rho_hat=optional(gain, "rho_hat", "Estimate of 1/inf |b(t)|, with the sign of b"),
+            gamma=optional(gain, "gamma", "Adaptation gain of rho_hat"),
+            sign_b=optional(gain, "sign_b", "Sign of the input gain b(t)"),
+            epsilon_b=optional(
+                gain and tracking, "epsilon_b", "Weight of the reference beside the gain b(t)"
+            ),
+            eta=optional(bound, "eta", "Width in which tanh stands for a sign"),
+            decay=optional(bound, "decay", "Rate at which eta falls, eta' = -decay eta", "1/s"),
+            t=optional(structured, "t", "Time, of which Upsilon(t) is a function", "s"),
+        )
 
     @property
     def estimates(self) -> ca.SX:
         """theta_hat, and D_hat where there is one, as one column."""
-        return _stacked(self.theta_hat, self.D_hat)
+        groups = (self.theta_hat, self.D_hat)
+        return ca.vertcat(*(v.symbol for v in groups if v is not None))
 
     @property
     def estimate_gain(self) -> ca.SX:
@@ -127,6 +105,16 @@ class StateFeedbackSymbols:
         return self.row(i - 1) if self.yr is None else self.row(i - 1, n + i - 1)
 
 
+class Partial(NamedTuple):
+    """The partial derivatives of a virtual control, as rows; empty where there is no symbol."""
+
+    x: ca.SX
+    estimates: ca.SX
+    yr: ca.SX
+    eta: ca.SX
+    t: ca.SX
+
+
 @dataclass(frozen=True)
 class StateFeedbackStep:
     """Step i of the recursion. Rows multiply [z; y_r; ..; y_r^(n-1)], of length N.
@@ -146,8 +134,8 @@ class StateFeedbackStep:
         tau_i of (14), and the slope of the adaptation law there (v_i for the gradient law).
     mu, zeta : casadi.SX, (1, N)
         The corrections mu_i = mu z of (17), and the damping zeta_i = zeta z of (18).
-    dalpha_dx, dalpha_dtheta, dalpha_dyr : casadi.SX, (1, n), (1, q), (1, n + 1)
-        Partial derivatives of alpha_{i-1} with respect to x, the estimates, and y_r .. y_r^(n).
+    dalpha : Partial
+        Partial derivatives of alpha_{i-1}; that with respect to y_r .. y_r^(n) has n + 1 columns.
     T : casadi.SX, (1, N)
         x_i = T [z; y_r; ..]; T depends on (x_1 .. x_{i-1}), the estimates and the reference.
     drift : casadi.SX, (1, N)
@@ -168,9 +156,7 @@ class StateFeedbackStep:
     slope: ca.SX
     mu: ca.SX
     zeta: ca.SX
-    dalpha_dx: ca.SX
-    dalpha_dtheta: ca.SX
-    dalpha_dyr: ca.SX
+    dalpha: Partial
     T: ca.SX
     drift: ca.SX
     E: ca.SX
@@ -178,7 +164,3 @@ class StateFeedbackStep:
 
 Steps = tuple[StateFeedbackStep, ...]
 """The steps 1, 2, .. of a recursion, as far as it went."""
-
-
-def _stacked(*groups: Variables | None) -> ca.SX:
-    return ca.vertcat(*(v.symbol for v in groups if v is not None))

@@ -1,39 +1,39 @@
 """Verification: the closed loop of a run solved as one differential equation, by other means.
 
-Every FMU of `congelation build` carries the structure that its equations were derived from, in
-``resources/spec.json``. From it the theory derives plant and controller anew, closes the loop
-without any co-simulation, and scipy solves it to 1e-12, stopping at every jump of theta(t).
+From the structures that the FMUs carry (`loop_parts`) the theory derives plant and controller anew,
+closes the loop without any co-simulation, and scipy solves it to 1e-12, stopping at every jump of
+theta(t).
 """
 
 from __future__ import annotations
 
-import itertools
-import json
 import math
-import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
 
 import casadi as ca
-import fmpy
 import numpy as np
 import numpy.typing as npt
 
 from congelation.arguments import checked
 from congelation.cosim.result import Result
-from congelation.cosim.system import Component, System
+from congelation.cosim.system import System
 from congelation.errors import CongelationError, InvalidInput
-from congelation.export.forms import BLOCKS, fit, models_of
 from congelation.export.interface import start_names
-from congelation.fmi.description import describe
-from congelation.fmi.start_values import resolve_start
 from congelation.results.record import Trajectory
 from congelation.scenario.parts import Case, Experiment, Scalar
 from congelation.signals import Profile, Segment
 from congelation.theory.closed_loop import ClosedLoop, SmoothPiece, Source, close
 from congelation.theory.model import Model, Output, Variables
+from congelation.verify.loop_parts import (
+    block_model,
+    driven_by,
+    loop_members,
+    loop_models,
+    start_values_of,
+    theta_of,
+)
 
 __all__ = [
     "LARGEST_DEVIATION",
@@ -41,8 +41,7 @@ __all__ = [
     "Reference",
     "compare",
     "reference",
-    "start_values_of",
-    "theta_of",
+    "smooth_pieces",
     "verify",
 ]
 
@@ -51,8 +50,6 @@ Floats = npt.NDArray[np.float64]
 LARGEST_DEVIATION = 1e-3
 """A co-simulation further than this from the monolithic solution, relative to a variable's peak,
 does not count as a solution of the loop: such a curve differs visibly in print."""
-
-_ROLES = ("plant", "controller")
 
 
 @dataclass(frozen=True)
@@ -72,6 +69,13 @@ class Deviation:
     variable: str
     error: float
     relative: float
+
+    @classmethod
+    def of(cls, variable: str, values: Floats, exact: Floats) -> Deviation:
+        """That of co-simulated values from exact ones."""
+        error, peak = float(np.max(np.abs(values - exact))), float(np.max(np.abs(exact)))
+        relative = error / peak if peak > 0.0 else math.inf
+        return cls(variable, error, relative if error != 0.0 else 0.0)
 
 
 @dataclass(frozen=True)
@@ -139,6 +143,22 @@ class Reference:
             if name not in given
         }
 
+    @property
+    def center(self) -> Floats:
+        """The centre of the box that theta(t) fills."""
+        bounds = [profile.bounds() for profile in self.profiles]
+        if not np.isfinite(bounds).all():
+            raise InvalidInput("theta(t) has no bounds")
+        middle: Floats = np.mean(bounds, axis=1) + np.array(self.offsets)
+        return middle
+
+    @property
+    def radii(self) -> Floats:
+        """Half the sides of the box that theta(t) fills."""
+        bounds = np.array([profile.bounds() for profile in self.profiles], dtype=float)
+        half: Floats = (bounds[:, 1] - bounds[:, 0]) / 2
+        return half
+
     @cached_property
     def certified(self) -> ClosedLoop:
         """The loop that the certificate is of."""
@@ -176,15 +196,15 @@ def reference(case: Case) -> Reference:
         If the system is no loop of a plant and its controller, both from `congelation build`, and
         maybe of a Reference that the controller follows.
     """
-    plant, controller, blocks = _loop_members(case.system)
-    models = _models(plant, controller)
+    plant, controller, blocks = loop_members(case.system)
+    models = loop_models(plant, controller)
     members = (plant, controller, *blocks)
     values = {component.name: start_values_of(component) for component in members}
-    links = _check_loop(case.system, plant, controller, blocks, models)
+    links = driven_by(case.system, plant, controller, blocks, models)
     sources = [
         Source(model, _parameters(model, values[block.name]), links[block.name])
         for block in blocks
-        for model in (_block(block),)
+        for model in (block_model(block),)
     ]
     # What no block drives is held at its start value.
     driven = {name for block in blocks for name in links[block.name]}
@@ -223,15 +243,14 @@ def reference(case: Case) -> Reference:
         loop,
         tuple(profiles),
         tuple(offsets),
-        _segments(case, profiles, offsets, signals, timed=bool(blocks)),
+        smooth_pieces(
+            (case.experiment.start_time, case.experiment.stop_time),
+            (*profiles, *signals),
+            (*offsets, *(0.0 for _ in signals)),
+            timed=bool(blocks),
+        ),
         loop.start(states),
     )
-
-
-def _block(component: Component) -> Model:
-    """The model of a block, derived anew."""
-    about = _spec(component)
-    return BLOCKS[about["form"]].model(about["structure"])
 
 
 def _constant(values: Mapping[str, float]) -> Source:
@@ -302,122 +321,10 @@ def _deviations(
     times, rows = np.unique(time, return_inverse=True)
     exact = found.solve(times)
     return tuple(
-        _deviation(column, values[:, k], exact[column][rows])
+        Deviation.of(column, values[:, k], exact[column][rows])
         for k, column in enumerate(columns)
         if column in exact
     )
-
-
-def _deviation(variable: str, values: Floats, exact: Floats) -> Deviation:
-    error, peak = float(np.max(np.abs(values - exact))), float(np.max(np.abs(exact)))
-    if error == 0.0:
-        return Deviation(variable, 0.0, 0.0)
-    return Deviation(variable, error, error / peak if peak > 0.0 else math.inf)
-
-
-def _loop_members(system: System) -> tuple[Component, Component, tuple[Component, ...]]:
-    """The plant, the controller, and the blocks that a reference or a disturbance comes from."""
-    about = {component.name: _spec(component) for component in system.components}
-    roles = {about[component.name]["role"]: component for component in system.components}
-    blocks = [c for c in system.components if about[c.name]["form"] in ("reference", "disturbance")]
-    references = [c for c in blocks if about[c.name]["form"] == "reference"]
-    alone = len(system.components) == 2 + len(blocks) and len(references) <= 1
-    if not alone or not set(_ROLES) <= set(roles):
-        names = ", ".join(component.name for component in system.components)
-        raise InvalidInput(
-            "a plant and its controller are needed, one Reference at most, and Disturbances, not "
-            f"{names}"
-        )
-    return roles["plant"], roles["controller"], tuple(blocks)
-
-
-def _spec(component: Component) -> dict[str, Any]:
-    """The spec that the component's FMU was built from."""
-    try:
-        with zipfile.ZipFile(component.fmu) as archive:
-            spec: dict[str, Any] = json.loads(archive.read("resources/spec.json"))
-    except KeyError as error:
-        raise InvalidInput(
-            f"{component.fmu.name} has no resources/spec.json; only FMUs of `congelation build` "
-            "have one"
-        ) from error
-    return spec
-
-
-def _models(plant: Component, controller: Component) -> tuple[Model, Model]:
-    specs = [_spec(plant), _spec(controller)]
-    if not fit(*specs):
-        raise InvalidInput(
-            f"{plant.name} and {controller.name} are of different systems; take a plant and a "
-            "controller of one spec, or of specs that differ in the law alone"
-        )
-    return models_of(specs[0]["form"], specs[0]["structure"], specs[1]["structure"])
-
-
-def start_values_of(component: Component) -> dict[str, Scalar]:
-    """The value of every variable of an FMU that starts with one: given, or else its own."""
-    description = fmpy.read_model_description(str(component.fmu), validate=False)
-    own = {
-        v.name: _typed(v.type, v.start) for v in description.modelVariables if v.start is not None
-    }
-    start = resolve_start(describe(component.fmu), component.start, f"component '{component.name}'")
-    return {**own, **{item.variable.name: item.value for item in start}}
-
-
-def _typed(kind: str, text: str) -> Scalar:
-    if kind == "Boolean":
-        return text in ("true", "1")
-    if kind == "Integer":
-        return int(text)
-    return text if kind == "String" else float(text)
-
-
-def _check_loop(
-    system: System,
-    plant: Component,
-    controller: Component,
-    blocks: Sequence[Component],
-    models: tuple[Model, Model],
-) -> dict[str, dict[str, str]]:
-    """The elements of inputs that each block drives, and the elements of outputs that drive them.
-
-    The monolithic loop connects equal names both ways, and all of a reference; the system has to
-    do just that.
-    """
-    wanted: set[str] = set()
-    outside: dict[str, tuple[str, str]] = {}
-    for one, other, model in ((controller, plant, models[0]), (plant, controller, models[1])):
-        for entry in model.inputs:
-            names = entry.variables.names
-            if entry.source == "loop":
-                wanted |= {f"{one.name}.{name} -> {other.name}.{name}" for name in names}
-            else:
-                outside |= {f"{other.name}.{name}": (name, entry.source) for name in names}
-    driven: dict[str, dict[str, str]] = {block.name: {} for block in blocks}
-    given, following = set(), ""
-    for link in system.resolve().links:
-        if link.converts:
-            raise InvalidInput(
-                f"connection '{link.name}' converts units, which the equations do not: give "
-                "both blocks one unit"
-            )
-        source, _, target = link.name.partition(" -> ")
-        block, _, output = source.partition(".")
-        if block not in driven or target not in outside:
-            given.add(link.name)
-            continue
-        name, kind = outside[target]
-        driven[block][name] = output
-        if kind == "reference":
-            following = block
-            given.add(link.name)
-    if following:
-        references = (target for target, (_, kind) in outside.items() if kind == "reference")
-        wanted |= {f"{following}.{outside[target][0]} -> {target}" for target in references}
-    for name in sorted(wanted ^ given):
-        verb = "is missing" if name in wanted else "is none of the loop's"
-        raise InvalidInput(f"connection '{name}' {verb}")
-    return driven
 
 
 def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]:
@@ -427,40 +334,25 @@ def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]
     }
 
 
-def _segments(
-    case: Case,
+def smooth_pieces(
+    span: tuple[float, float],
     profiles: Sequence[Profile],
     offsets: Sequence[float],
-    signals: Sequence[Profile],
-    timed: bool,
+    *,
+    timed: bool = False,
 ) -> tuple[SmoothPiece, ...]:
-    """theta(t), then the signals of the reference and time, on the pieces between their jumps."""
-    stop = case.experiment.stop_time
-    segments, time = [], case.experiment.start_time
+    """Profiles plus constants, and the time if asked for, on the pieces of a span between jumps."""
+    time, stop = span
+    found = []
     while time < stop:
-        pieces = [profile.segment(time) for profile in (*profiles, *signals)]
+        pieces = [profile.segment(time) for profile in profiles]
         end = min([piece.end for piece in pieces] + [stop])
-        added = (*offsets, *(0.0 for _ in signals))
-        segments.append(SmoothPiece(time, end, partial(_theta_at, pieces, added, timed)))
+        found.append(SmoothPiece(time, end, partial(_values_at, pieces, offsets, timed)))
         time = end
-    return tuple(segments)
+    return tuple(found)
 
 
-def theta_of(values: Mapping[str, Scalar]) -> tuple[list[Profile], list[float]]:
-    """The profile of each component of theta, and the constant that is added to it."""
-    profiles: list[Profile] = []
-    offsets: list[float] = []
-    for j in itertools.count(1):
-        prefix = f"profile[{j}]."
-        flat = {k.removeprefix(prefix): v for k, v in values.items() if k.startswith(prefix)}
-        if not flat:
-            break
-        profiles.append(Profile.from_flat(flat))
-        offsets.append(float(values.get(f"dtheta[{j}]", 0.0)))
-    return profiles, offsets
-
-
-def _theta_at(
+def _values_at(
     pieces: Sequence[Segment], offsets: Sequence[float], timed: bool, t: float
 ) -> list[float]:
     values = [piece.value(t) + offset for piece, offset in zip(pieces, offsets, strict=True)]

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import re
-import zipfile
 from collections.abc import Mapping
-from typing import Any, cast
+from typing import cast
 
 from congelation.cosim.system import Component
 from congelation.export.forms import fit, models_of
 from congelation.export.spec_assumptions import degree_of, known_theta, of_rest, structured
 from congelation.scenario.scenario import Case, Scenario
 from congelation.theory.assumptions import Remark, remarks_on
-from congelation.verify.reference import start_values_of, theta_of
+from congelation.verify.loop_parts import spec_of, start_values_of, theta_of
 
 __all__ = ["case_assumptions", "loops_of", "scenario_warnings"]
 
@@ -34,7 +32,7 @@ def case_assumptions(case: Case) -> tuple[Remark, ...]:
 
 def loops_of(case: Case) -> list[tuple[Component, Component]]:
     """Each plant with each controller of its structure that drives it, both from build_fmu.py."""
-    about = {c.name: _about(c) for c in case.system.components}
+    about = {c.name: spec_of(c) for c in case.system.components}
     drives = {(c.source.split(".")[0], c.target) for c in case.system.connections}
     return [
         (plant, controller)
@@ -75,7 +73,7 @@ def _of_loop(
         and f"dtheta[{j + 1}]" not in plant.start
     ]
 
-    about = _about(plant)
+    about = spec_of(plant)
 
     def place(name: str) -> str:
         if name.startswith("theta["):
@@ -83,7 +81,7 @@ def _of_loop(
         return f"{controller.name}.{name}"
 
     known, split = known_theta(profiles, offsets, absent, inputs), None
-    own = _about(controller)["structure"]
+    own = spec_of(controller)["structure"]
     if "Upsilon" in own:
         _, model = models_of(about["form"], about["structure"], own)
         split = structured(model, profiles, offsets, *span)
@@ -95,15 +93,6 @@ def _of_loop(
         varying_gain=about["structure"].get("gain") == "varying",
         constants=None if split is None else split.vartheta,
     )
-
-
-def _about(component: Component) -> dict[str, Any]:
-    """The spec that the component's FMU was built from; empty if it has none."""
-    with zipfile.ZipFile(component.fmu) as archive:
-        if "resources/spec.json" not in archive.namelist():
-            return {}
-        about: dict[str, Any] = json.loads(archive.read("resources/spec.json"))
-    return about if {"role", "form", "structure"} <= about.keys() else {}
 
 
 def _parameters(values: Mapping[str, object]) -> dict[str, list[float]]:

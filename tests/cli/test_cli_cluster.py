@@ -10,11 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from distributed import Client
 
 from congelation.results.store import Store
 from tests.cli.test_cli_faults import PAIR
-from tests.cli.test_cli_sweep import LONG, POINTS, SWEEP, rows, sweep
+from tests.cli.test_cli_sweep import PACE, POINTS, SWEEP, rows, sweep, write_paced
 from tests.cosim.c_fmus import plain_fmu
 from tests.scenarios import SCALAR, write
 from tests.studies import command, environment, until
@@ -36,6 +35,8 @@ def processes() -> Iterator[list[subprocess.Popen[bytes]]]:
 @pytest.fixture
 def cluster(tmp_path: Path, processes: list[subprocess.Popen[bytes]]) -> str:
     """The address of a scheduler with two workers, which have another current folder."""
+    from distributed import Client  # a third of a second, in each process that collects the tests
+
     told = tmp_path / "scheduler.json"
 
     def start(*arguments: str) -> None:
@@ -72,14 +73,21 @@ def test_a_cluster_gives_the_rows_of_one_worker(tmp_path: Path, cluster: str) ->
     assert rows(tmp_path / "there") == rows(tmp_path / "here")
 
 
+@pytest.fixture
+def pace(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs take some time in the workers that are started from now on."""
+    for name, value in PACE.items():
+        monkeypatch.setenv(name, value)
+
+
 def test_a_killed_worker_of_a_cluster_costs_nothing(
-    tmp_path: Path, cluster: str, processes: list[subprocess.Popen[bytes]]
+    pace: None, tmp_path: Path, cluster: str, processes: list[subprocess.Popen[bytes]]
 ) -> None:
-    file, out = write(tmp_path, SCALAR + SWEEP, LONG), tmp_path / "out"
+    file, out = write_paced(tmp_path), tmp_path / "out"
     command = [sys.executable, "-m", "congelation", "sweep", str(file), "--out", str(out)]
     running = subprocess.Popen(
         [*command, "--scheduler", cluster],
-        env=environment(),
+        env=environment(tmp_path),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,

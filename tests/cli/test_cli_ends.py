@@ -15,13 +15,14 @@ import zipfile
 from functools import partial
 from pathlib import Path
 
+import pyarrow.parquet
 import pytest
 
 from congelation.results.results import open_results
 from congelation.sweep.local import Local
 from tests.cosim.c_fmus import SOURCES, plain_fmu
 from tests.scenarios import FMUS, ROOT, SCALAR, write
-from tests.studies import COMMAND, children, environment, process, start
+from tests.studies import COMMAND, children, environment, process, rows, start
 from tests.studies import command as congelation
 from tests.studies import last_line as one_line
 
@@ -98,6 +99,35 @@ def test_run_takes_times_and_coupling_from_its_options(tmp_path: Path) -> None:
         9,
         9,
     ]  # at 0.25 k and 0.15 k
+
+
+def test_what_options_replaced_is_told_apart_wherever_runs_are_listed(tmp_path: Path) -> None:
+    """Runs with and without options in one folder, and in two that are compared."""
+    file, out, other = write(tmp_path), tmp_path / "out", tmp_path / "other"
+    for folder, options in (
+        (out, ()),
+        (out, ("--tolerance", 1e-3, "--coupling", "hermite")),
+        (out, ("--stop-time", 0.5)),
+        (other, ()),
+    ):
+        assert congelation("run", file, "--out", folder, *options).returncode == 0
+    columns = ["set.experiment.tolerance", "set.experiment.coupling", "set.experiment.stop_time"]
+    found = [[row[name] for name in columns] for row in rows(out)]
+    wanted = ([None] * 3, [1e-3, "hermite", None], [None, None, 0.5])
+    assert found == [row for row in wanted for _ in range(2)]
+    assert pyarrow.parquet.read_table(out / "runs.parquet").select(columns).to_pylist() == [
+        dict(zip(columns, row, strict=True)) for row in found
+    ]
+    header, *lines = congelation("ls", out).stdout.splitlines()
+    assert [name.removeprefix("set.") in header.split() for name in columns] == [True] * 3
+    assert header.split()[1] == "study"
+    assert len({line.split()[1] for line in lines}) == 3
+    shown = json.loads(congelation("show", out, rows(out)[2]["run_id"], "--json").stdout)
+    assert [shown[name] for name in columns] == [1e-3, "hermite", None]
+    compared = congelation("report", other, out).stdout
+    assert "changed experiment.stop_time: that of the scenario before, 0.5 now." in compared
+    page = (out / "comparison.html").read_text(encoding="utf-8")
+    assert "0.5 by an option" in page
 
 
 @pytest.mark.parametrize(

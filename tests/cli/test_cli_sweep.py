@@ -15,13 +15,26 @@ import pytest
 from congelation.results.results import Results
 from congelation.results.store import Store
 from tests.scenarios import SCALAR, write
-from tests.studies import children, command, is_alive, process, start, until
+from tests.studies import children, command, environment, install, is_alive, process, start, until
 from tests.studies import rows as stored
 
-pytestmark = [pytest.mark.slow, pytest.mark.workers]
+pytestmark = pytest.mark.slow
 
 POINTS = 12
 LONG = ("stop_time = 1.0", "stop_time = 15.0")  # a run takes a few tenths of a second
+
+# A run that takes its time without work, in processes whose environment says so.
+PACED = """
+import os, time
+from congelation.scenario.metrics import Metric
+
+def paced(t, values):
+    time.sleep(float(os.environ.get("SECONDS_OF_A_RUN", "0")))
+    return 0.0
+
+metric = Metric("paced", paced, "takes some time", str)
+"""
+PACE = {"SECONDS_OF_A_RUN": "0.25"}
 
 SWEEP = f"""
 [sweep]
@@ -42,11 +55,20 @@ def rows(out: Path) -> list[dict[str, Any]]:
     return stored(out)
 
 
+def write_paced(folder: Path) -> Path:
+    """A scenario with a sweep, and its metric, installed in the same folder."""
+    install(folder, "paced", PACED)
+    metric = "[metrics]", '[metrics]\npaced = {metric = "paced", of = "plant.x"}'
+    return write(folder, SCALAR + SWEEP, metric)
+
+
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
-    """The rows of the long sweep, done by one worker without disturbance."""
+    """The rows of the sweep, done without disturbance."""
     folder = tmp_path_factory.mktemp("reference")
-    done = sweep(write(folder, SCALAR + SWEEP, LONG), folder / "out")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        done = sweep(write_paced(folder), folder / "out")
     assert done.returncode == 0, done.stderr
     assert f"{2 * POINTS} runs, {2 * POINTS} of them to do" in done.stdout
     assert f"{2 * POINTS} of {2 * POINTS} runs, 0 failed" in done.stderr
@@ -54,15 +76,17 @@ def reference(tmp_path_factory: pytest.TempPathFactory) -> list[dict[str, Any]]:
 
 
 @pytest.fixture
-def file(tmp_path: Path) -> Path:
-    return write(tmp_path, SCALAR + SWEEP, LONG)
+def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.syspath_prepend(tmp_path)
+    return write_paced(tmp_path)
 
 
 @pytest.fixture
 def running(file: Path, tmp_path: Path) -> Iterator[subprocess.Popen[str]]:
-    """The long sweep on two workers, some runs done and some to do."""
+    """The sweep on two workers, some runs done and some to do."""
     out = tmp_path / "out"
-    running = start("sweep", file, "--out", out, "--workers", "2")
+    env = environment(tmp_path) | PACE
+    running = start("sweep", file, "--out", out, "--workers", "2", env=env)
     try:
         until(lambda: out.is_dir() and Store(out).database.is_file() and Store(out).count() >= 3)
         yield running

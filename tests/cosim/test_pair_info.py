@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import math
+import re
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
 
 from congelation.cosim import Component, Connection, System, simulate
-from congelation.cosim.pair_info import Trial, _accurate, info
+from congelation.cosim.pair_info import Trial, _accurate, _connected, info
 from congelation.errors import InvalidInput
+from congelation.fmi.info import fmu_info
 from tests.scenarios import FMUS
 
 PLANT, CONTROLLER = FMUS / "ScalarPlant.fmu", FMUS / "ScalarController.fmu"
@@ -66,11 +69,109 @@ def test_a_pair() -> None:
         assert found.stable_step == longest.step
 
 
-def test_a_pair_that_is_no_loop_has_no_steps() -> None:
-    """The controller of second order reads x[1] and x[2]; the scalar plant gives x."""
-    found = info(FMUS / "ScalarPlant.fmu", FMUS / "StateFeedbackController.fmu").pair
+def foreign(file: Path, folder: Path, pattern: str, by: str) -> Path:
+    """The FMU as if another tool had written it, something in its description replaced."""
+    path = folder / f"Other{file.name}"
+    with zipfile.ZipFile(file) as read, zipfile.ZipFile(path, "w") as written:
+        for entry in set(read.namelist()) - {"resources/spec.json"}:
+            content = read.read(entry)
+            if entry == "modelDescription.xml":
+                text, count = re.subn(pattern, by, content.decode())
+                assert count
+                content = text.encode()
+            written.writestr(entry, content)
+    return path
+
+
+def test_a_pair_that_is_no_loop_has_no_steps(tmp_path: Path) -> None:
+    """The controller reads x; the plant gives w."""
+    other = foreign(PLANT, tmp_path, 'name="x"', 'name="w"')
+    found = info(other, CONTROLLER).pair
+    assert found is not None
     assert found.trials == ()
-    assert "has the name of StateFeedbackController.x[1], x[2]" in found.how
+    assert "nothing drives ScalarController, so this is no closed loop" in found.how
+    assert "OtherScalarPlant.fmu has the outputs w, theta[1]." in found.how
+    assert found.warnings == (
+        "no output of OtherScalarPlant.fmu has the name of ScalarController.x",
+    )
+
+
+@pytest.mark.parametrize(
+    ("plant", "controller", "what"),
+    [
+        (
+            "ScalarPlant",
+            "MatchedController",
+            "the plant is of the form 'scalar', the controller of 'matched'; ScalarPlant.fmu gives "
+            "x, and MatchedController.fmu takes x[1], x[2]; ScalarPlant.fmu was built with "
+            "ScalarController.fmu; MatchedController.fmu was built with MatchedPlant.fmu",
+        ),
+        (
+            "ScalarPlant",
+            "StableZero3Controller",
+            "the controller of 'observer'; no output of ScalarPlant.fmu has the name of "
+            "StableZero3Controller.y; ",
+        ),
+        (
+            "DCMotorPlant",
+            "F16PitchController",
+            "'DCMotorPlant.x[1] -> F16PitchController.x[1]': 'rad/s' cannot become 'rad': s-1.rad "
+            "against rad in SI units; connection 'DCMotorPlant.x[2] -> F16PitchController.x[2]': ",
+        ),
+        (
+            "StableZero3Plant",
+            "StateFeedbackController",
+            "the plant is of order 3, the controller of order 2; StableZero3Plant.fmu gives x[1], "
+            "x[2], x[3], and StateFeedbackController.fmu takes x[1], x[2]; ",
+        ),
+    ],
+)
+def test_all_that_does_not_fit_is_named_and_what_would(
+    plant: str, controller: str, what: str
+) -> None:
+    with pytest.raises(InvalidInput, match=f"{plant}.fmu and {controller}.fmu do not fit: ") as no:
+        info(FMUS / f"{plant}.fmu", FMUS / f"{controller}.fmu")
+    assert what in str(no.value)
+
+
+def test_what_may_not_fit_is_a_warning(tmp_path: Path) -> None:
+    files = FMUS / "StrictFeedbackPlant.fmu", FMUS / "StructuredController.fmu"
+    found = info(*files, stop_time=0.1)
+    assert found.pair is not None
+    warning = "they were built from different specs, 'System (60), state feedback' and 'System (60)"
+    assert found.pair.warnings[0].startswith(warning)
+    assert f"warning: {warning}" in str(found)
+    # Units on one side alone; without a spec the plant may be any.
+    bare = foreign(FMUS / "F16PitchPlant.fmu", tmp_path, ' unit="rad[^"]*"', "")
+    _, doubts = _connected(fmu_info(bare), fmu_info(FMUS / "F16PitchController.fmu"))
+    assert doubts == tuple(
+        f"connection '{link}': the {end} states no unit, the other end '{unit}'"
+        for link, end, unit in (
+            ("OtherF16PitchPlant.x[1] -> F16PitchController.x[1]", "output", "rad"),
+            ("OtherF16PitchPlant.x[2] -> F16PitchController.x[2]", "output", "rad/s"),
+            ("F16PitchController.u -> OtherF16PitchPlant.u", "input", "rad/s2"),
+        )
+    )
+
+
+def test_the_two_of_one_spec_fit() -> None:
+    for file in FMUS.glob("*Plant.fmu"):
+        plant = fmu_info(file)
+        assert plant.design is not None
+        _, doubts = _connected(plant, fmu_info(FMUS / f"{plant.design.controller}.fmu"))
+        assert all("Controller.yr[0], yr[1], yr[2]" in doubt for doubt in doubts)
+
+
+def test_it_is_said_why_the_runs_end_when_they_do(tmp_path: Path) -> None:
+    found = info(PLANT, CONTROLLER).pair
+    assert found is not None
+    assert "The runs end at 10 s, the stop time that the FMUs propose; a loop that" in found.how
+    files = [
+        foreign(file, tmp_path, "<DefaultExperiment[^>]*>", "") for file in (PLANT, CONTROLLER)
+    ]
+    found = info(*files).pair
+    assert found is not None
+    assert "The runs end at 10 s, as the FMUs propose none;" in found.how
 
 
 def test_a_loop_that_needs_shorter_steps_than_its_whole_time_allows(

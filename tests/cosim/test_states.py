@@ -17,8 +17,8 @@ from congelation.cosim import (
     perform,
     simulate,
 )
+from congelation.cosim.columns import Columns
 from congelation.cosim.ensemble import Ensemble
-from congelation.cosim.recording import Columns
 from congelation.cosim.session import Session
 from congelation.errors import InvalidInput
 

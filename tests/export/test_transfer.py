@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 
 import casadi as ca
-import control
 import numpy as np
 import pytest
 from typer.testing import CliRunner
@@ -54,7 +55,13 @@ def test_what_is_written_builds_and_holds(tmp_path):
     assert load_scenario(folder / "scenario.toml").title == "servo"
 
 
-def test_systems_of_python_control():
+@pytest.fixture
+def control() -> ModuleType:
+    """Imported by these tests alone: half a second, which each process that collects would take."""
+    return import_module("control")
+
+
+def test_systems_of_python_control(control):
     tf = control.tf([1.0, 2.0], [1.0, 0.4, 4.0])
     for system in (tf, control.ss(tf), control.tf([1, 5, 6], [1, 3.4, 5.2, 12.0])):
         found = transfer_function(system, spread=0.5)
@@ -102,7 +109,7 @@ def test_what_is_refused(changes, message, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_systems_that_are_refused():
+def test_systems_that_are_refused(control):
     two = control.ss(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)))
     for system, message in (
         (two, "2 inputs and 2 outputs"),

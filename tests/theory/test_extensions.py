@@ -118,8 +118,8 @@ def test_under_leakage_the_claimed_rate_is_at_least_the_decay_times_V(options):
     for _ in range(300):
         ell = certificate.sample_ell(rng)
         margin = certificate.at(certificate._drawn(certificate.coordinates.draw(rng), ell), ell)
-        ratios.append(margin.claimed / (certificate.decay * margin.V))
-    assert certificate.decay > 0
+        ratios.append(margin.claimed / (certificate.terms.decay * margin.V))
+    assert certificate.terms.decay > 0
     assert min(ratios) >= 1 - 1e-9
     assert min(ratios) < 1.1  # and the decay is not far below what it may be
 
@@ -359,8 +359,8 @@ def test_the_rate_of_the_known_variations_has_to_be_in_the_law(monkeypatch, n, p
     gradient_of = state_feedback._gradient
 
     def without(alpha, *symbols):
-        *rows, t = gradient_of(alpha, *symbols)
-        return [*rows, ca.SX(*t.shape)]
+        found = gradient_of(alpha, *symbols)
+        return found._replace(t=ca.SX(*found.t.shape))
 
     monkeypatch.setattr(state_feedback, "_gradient", without)
     monkeypatch.setattr(state_feedback, "time_factor", lambda symbols, steps: symbols.row())
@@ -459,8 +459,8 @@ def test_the_width_of_the_bound_estimator_has_to_fall_in_its_law(monkeypatch):
     gradient_of = state_feedback._gradient
 
     def without(alpha, *symbols):
-        *rows, eta, t = gradient_of(alpha, *symbols)
-        return [*rows, ca.SX(*eta.shape), t]
+        found = gradient_of(alpha, *symbols)
+        return found._replace(eta=ca.SX(*found.eta.shape))
 
     monkeypatch.setattr(state_feedback, "_gradient", without)
     assert violated(estimator_loop(4, 2, 2, decay=50.0))
@@ -575,8 +575,8 @@ def test_under_leakage_output_feedback_falls_at_the_decay(options):
     for _ in range(300):
         ell = certificate.sample_ell(rng)
         margin = certificate.at(certificate._drawn(certificate.coordinates.draw(rng), ell), ell)
-        ratios.append(margin.claimed / (certificate.decay * margin.V))
-    assert certificate.decay > 0
+        ratios.append(margin.claimed / (certificate.terms.decay * margin.V))
+    assert certificate.terms.decay > 0
     assert min(ratios) >= 1 - 1e-9
     assert min(ratios) < 1.1
     assert not certificate.search(150, ascents=2).violated

@@ -109,7 +109,7 @@ def test_error_dynamics_are_20(order, seed):
     z, W, zeta, *slopes = numbers(
         model,
         [design.z, design.W, ca.vertcat(*(s.zeta for s in design.steps))]
-        + [s.dalpha_dtheta for s in design.steps],
+        + [s.dalpha.estimates for s in design.steps],
         values,
     )
     A_z = -np.diag(values["c"])

@@ -7,15 +7,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 
 from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
-from congelation.conformance.description import Description
 from congelation.conformance.instance import Instance
-from congelation.conformance.model_exchange import Model, moved, require_states
-from congelation.conformance.probe import read
+from congelation.conformance.model_exchange import (
+    Model,
+    integrated,
+    moved,
+    require_states,
+    without_slopes,
+)
+from congelation.conformance.probe import QUOTIENT_STEP, is_derivative, read
 from congelation.conformance.rule import Level, NotEvaluated, dynamic
 from congelation.conformance.rules.fmu_states import restore, save
 from congelation.conformance.trajectory import demand, excite, same
@@ -24,10 +28,6 @@ __all__: list[str] = []
 
 # Time events that are visited one after another.
 _EVENTS = 4
-# Difference quotients over such a step are good to a few digits, and co-simulation has an error of
-# its own: the bound only has to tell a derivative from something else.
-_QUOTIENT_STEP = 1e-5
-_QUOTIENT_ERROR = 1e-2
 # Steps of the Runge-Kutta method in a communication step; half as many tell its error.
 _SUBSTEPS = 16
 # The largest share of the way of a state by which both kinds may differ.
@@ -283,27 +283,6 @@ def time_events(bench: Bench) -> Iterator[str]:
 # -- where the FMU is for co-simulation, too -------------------------------------------------------
 
 
-def _moving(bench: Bench) -> Description:
-    """The description with those inputs at rest on which no derivative depends.
-
-    In co-simulation an FMU may have inputs for the slopes of others, which mean nothing in model
-    exchange.
-    """
-    description = bench.description
-    known: set[int] = set()
-    for unknown in description.derivatives:
-        if unknown.dependencies is None:
-            return description
-        known |= set(unknown.dependencies)
-    return replace(
-        description,
-        variables=tuple(
-            replace(v, still=v.still or (v.causality == "input" and v.index not in known))
-            for v in description.variables
-        ),
-    )
-
-
 @dynamic("FMI2-ME-09", "3.1, 4.1", Level.ROBUSTNESS)
 def derivatives_are_slopes(bench: Bench) -> Iterator[str]:
     """Where the FMU is for co-simulation, too, its states move there at the rate of their
@@ -318,7 +297,7 @@ def derivatives_are_slopes(bench: Bench) -> Iterator[str]:
     Example: A derivative without its input.
     """
     require_states(bench)
-    description = _moving(bench)
+    description = without_slopes(bench)
     bench.require_flag("canHandleVariableCommunicationStepSize")
     states = tuple(state for state, _ in description.state_vector)
     model = Model.continuous(bench, description)
@@ -330,14 +309,14 @@ def derivatives_are_slopes(bench: Bench) -> Iterator[str]:
         model.x = begin
         slopes = model.rates
         excite(slave, description, 0)
-        demand(slave.step(time, _QUOTIENT_STEP), "fmi2DoStep")
+        demand(slave.step(time, QUOTIENT_STEP), "fmi2DoStep")
         end = [float(value) for value in read(slave, states).values()]
         for (_, v), x, y, slope in zip(description.state_vector, begin, end, slopes, strict=True):
-            quotient = (y - x) / _QUOTIENT_STEP
-            if not abs(slope - quotient) <= _QUOTIENT_ERROR * (1.0 + abs(quotient)):
+            quotient = (y - x) / QUOTIENT_STEP
+            if not is_derivative(slope, quotient):
                 yield f"{v.name} is {slope!r} at t = {time:.9g}; measured: {quotient!r}"
         # Once more after a step, where the states have left their start values.
-        time += _QUOTIENT_STEP
+        time += QUOTIENT_STEP
         demand(slave.step(time, bench.grid.step), "fmi2DoStep")
         time += bench.grid.step
     for each in (model.instance, slave):
@@ -357,7 +336,7 @@ def kinds_agree(bench: Bench) -> Iterator[str]:
     Example: A jump of a parameter that model exchange does not announce.
     """
     require_states(bench)
-    description = _moving(bench)
+    description = without_slopes(bench)
     states = tuple(state for state, _ in description.state_vector)
     slave = bench.initialize(bench.fresh("slave"), description=description)
     expected = [[float(value) for value in read(slave, states).values()]]
@@ -367,8 +346,8 @@ def kinds_agree(bench: Bench) -> Iterator[str]:
         demand(slave.step(time, bench.grid.time(point + 1) - time), f"fmi2DoStep at t = {time:.9g}")
         expected.append([float(value) for value in read(slave, states).values()])
     slave.free()
-    coarse = _integrated(bench, description, _SUBSTEPS // 2)
-    fine = _integrated(bench, description, _SUBSTEPS)
+    coarse = integrated(bench, description, _SUBSTEPS // 2)
+    fine = integrated(bench, description, _SUBSTEPS)
     for i, v in enumerate(states):
         own = [row[i] for row in expected]
         way = max(abs(value - own[0]) for value in own)
@@ -378,46 +357,6 @@ def kinds_agree(bench: Bench) -> Iterator[str]:
             raise NotEvaluated(f"{_SUBSTEPS} steps of Runge and Kutta are too few for {v.name}")
         if not apart <= _DISAGREEMENT * way + 1e-6 * (1.0 + abs(own[0])):
             yield f"{v.name} differs by {apart:.3g} between both kinds; it moves by {way:.3g}"
-
-
-def _integrated(bench: Bench, description: Description, substeps: int) -> list[list[float]]:
-    """The states at the communication points, by the method of Runge and Kutta (order 4)."""
-    model = Model.continuous(bench, description)
-
-    def rates(t: float, x: Sequence[float]) -> list[float]:
-        model.set_time(t)
-        model.x = x
-        return model.rates
-
-    x = model.x
-    rows = [x]
-    for point in range(bench.grid.steps):
-        t, end = bench.grid.time(point), bench.grid.time(point + 1)
-        while t < end:
-            stop = min(end, model.info.nextEventTime) if model.info.nextEventTimeDefined else end
-            stop = stop if stop > t else end
-            h = (stop - t) / substeps
-            for k in range(substeps):
-                s = t + k * h
-                k1 = rates(s, x)
-                k2 = rates(s + h / 2, [a + h / 2 * b for a, b in zip(x, k1, strict=True)])
-                k3 = rates(s + h / 2, [a + h / 2 * b for a, b in zip(x, k2, strict=True)])
-                k4 = rates(s + h, [a + h * b for a, b in zip(x, k3, strict=True)])
-                x = [
-                    a + h / 6 * (b + 2 * c + 2 * d + e)
-                    for a, b, c, d, e in zip(x, k1, k2, k3, k4, strict=True)
-                ]
-            t = stop
-            rates(t, x)
-            model.end_step()
-            model.enter_event_mode()
-            model.excite(point + 1 if t >= end else point)
-            model.settle(t)
-            model.enter_continuous_time_mode()
-            x = model.x
-        rows.append(x)
-    model.instance.free()
-    return rows
 
 
 @dynamic("FMI2-ME-11", "2.1.9, 3.3.1", Level.VIOLATION)
@@ -446,14 +385,14 @@ def jacobian(bench: Bench) -> Iterator[str]:
         return model.rates
 
     for i, (state, _) in enumerate(vector):
-        step = _QUOTIENT_STEP * (1.0 + abs(x[i]))
+        step = QUOTIENT_STEP * (1.0 + abs(x[i]))
         high, low = (rates([*x[:i], x[i] + d, *x[i + 1 :]]) for d in (step, -step))
         model.x = x
         status, found = model.instance.directional_derivative(unknowns, [state.reference], [1.0])
         demand(status, f"fmi2GetDirectionalDerivative with respect to {state.name}")
         for (_, v), a, b, value in zip(vector, high, low, found, strict=True):
             quotient = (a - b) / (2 * step)
-            if not abs(value - quotient) <= _QUOTIENT_ERROR * (1.0 + abs(quotient)):
+            if not is_derivative(value, quotient):
                 yield f"d {v.name} / d {state.name} is {value!r}, measured {quotient!r}"
     model.instance.free()
 

@@ -10,12 +10,13 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.buffers import NO_DERIVATIVE, Transfer
+from congelation.cosim.columns import Columns
 from congelation.cosim.compiled import library
 from congelation.cosim.compiled.structures import Block, Call, Loop, Slave
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Block as Wires
 from congelation.cosim.exchange import Exchange
-from congelation.cosim.recording import Columns, EveryStep, Rows
+from congelation.cosim.recording import EveryStep, Rows
 
 __all__ = ["CHUNK", "DONE", "FULL", "NOT_FINITE", "UNUSUAL", "Compiled", "fits"]
 

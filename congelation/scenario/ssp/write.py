@@ -120,16 +120,16 @@ def write_ssp(
         bound = contents.add(f"resources/{stem}.ssv", parameters)
         _add(_add(component, "ssd:ParameterBindings"), "ssd:ParameterBinding", source=bound)
     _add_connections(system, resolved, ties)
-    default = _add_experiment(root, case.experiment)
+    # The times; SSP has no place for the step.
+    start, stop = repr(case.experiment.start_time), repr(case.experiment.stop_time)
+    default = _add(root, "ssd:DefaultExperiment", startTime=start, stopTime=stop)
     if step is None and case.experiment.tolerance is None:
         step = case.experiment.step
     if step is not None:
         _annotate_step(system, default, step, case.experiment)
-    beyond = _beyond_ssp(scenario, chosen, case.experiment)
     # OMSimulator refuses annotations of the whole, so this one is the experiment's.
-    etree.SubElement(_annotation(default, ANNOTATION), "Scenario").text = json.dumps(
-        beyond, indent=2
-    )
+    beyond = etree.SubElement(_annotation(default, ANNOTATION), "Scenario")
+    beyond.text = json.dumps(_beyond_ssp(scenario, chosen, case.experiment), indent=2)
     contents.add(SSD, _document(root))
     replace_whole(file, contents.write)
 
@@ -286,14 +286,6 @@ _TABLE = "table.file"
 """End of the names of parameters that name the table of a profile."""
 
 
-def _add_experiment(root: etree._Element, experiment: Experiment) -> etree._Element:
-    """The times; SSP has no place for the step."""
-    default = _add(root, "ssd:DefaultExperiment")
-    default.set("startTime", repr(experiment.start_time))
-    default.set("stopTime", repr(experiment.stop_time))
-    return default
-
-
 def _annotate_step(
     system: etree._Element, default: etree._Element, size: float, experiment: Experiment
 ) -> None:
@@ -302,16 +294,15 @@ def _annotate_step(
     libcosim = _annotation(default, "com.opensimulationplatform")
     _add(_add(libcosim, "osp:Algorithm"), "osp:FixedStepAlgorithm", baseStepSize=step)
     omsimulator = _add(_annotation(system, "org.openmodelica"), "oms:Annotations")
-    master = _add(_add(omsimulator, "oms:SimulationInformation"), "oms:FixedStepMaster")
-    # It hands its tolerance to the FMUs.
-    tolerance = experiment.slave_tolerance or _SLAVE_TOLERANCE
-    for name, value in (
-        ("description", "oms-ma"),
-        ("stepSize", step),
-        ("absoluteTolerance", repr(tolerance)),
-        ("relativeTolerance", repr(tolerance)),
-    ):
-        master.set(name, value)
+    tolerance = repr(experiment.slave_tolerance or _SLAVE_TOLERANCE)  # it hands it to the FMUs
+    _add(
+        _add(omsimulator, "oms:SimulationInformation"),
+        "oms:FixedStepMaster",
+        description="oms-ma",
+        stepSize=step,
+        absoluteTolerance=tolerance,
+        relativeTolerance=tolerance,
+    )
 
 
 def _beyond_ssp(scenario: Scenario, variant: Variant, experiment: Experiment) -> dict[str, object]:

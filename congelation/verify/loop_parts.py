@@ -1,0 +1,168 @@
+"""The parts of a loop: which components of a system they are, and what their FMUs carry.
+
+Every FMU of `congelation build` has the structure that its equations were derived from in
+``resources/spec.json``.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+import zipfile
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import fmpy
+
+from congelation.cosim.system import Component, System
+from congelation.errors import InvalidInput
+from congelation.export.forms import BLOCKS, fit, models_of
+from congelation.fmi.description import describe
+from congelation.fmi.start_values import resolve_start
+from congelation.scenario.parts import Scalar
+from congelation.signals import Profile
+from congelation.theory.model import Model
+
+__all__ = [
+    "block_model",
+    "driven_by",
+    "loop_members",
+    "loop_models",
+    "spec_of",
+    "start_values_of",
+    "theta_of",
+]
+
+_ROLES = ("plant", "controller")
+
+
+def spec_of(component: Component) -> dict[str, Any]:
+    """The spec that the component's FMU was built from; empty if it has none."""
+    with zipfile.ZipFile(component.fmu) as archive:
+        if "resources/spec.json" not in archive.namelist():
+            return {}
+        spec: dict[str, Any] = json.loads(archive.read("resources/spec.json"))
+    return spec if {"role", "form", "structure"} <= spec.keys() else {}
+
+
+def _required_spec(component: Component) -> dict[str, Any]:
+    """The same, or InvalidInput."""
+    if spec := spec_of(component):
+        return spec
+    raise InvalidInput(
+        f"{component.fmu.name} has no resources/spec.json; only FMUs of `congelation build` "
+        "have one"
+    )
+
+
+def loop_members(system: System) -> tuple[Component, Component, tuple[Component, ...]]:
+    """The plant, the controller, and the blocks that a reference or a disturbance comes from."""
+    about = {component.name: _required_spec(component) for component in system.components}
+    roles = {about[component.name]["role"]: component for component in system.components}
+    blocks = [c for c in system.components if about[c.name]["form"] in ("reference", "disturbance")]
+    references = [c for c in blocks if about[c.name]["form"] == "reference"]
+    alone = len(system.components) == 2 + len(blocks) and len(references) <= 1
+    if not alone or not set(_ROLES) <= set(roles):
+        names = ", ".join(component.name for component in system.components)
+        raise InvalidInput(
+            "a plant and its controller are needed, one Reference at most, and Disturbances, not "
+            f"{names}"
+        )
+    return roles["plant"], roles["controller"], tuple(blocks)
+
+
+def loop_models(plant: Component, controller: Component) -> tuple[Model, Model]:
+    """The models of a plant and its controller, derived anew."""
+    specs = [_required_spec(plant), _required_spec(controller)]
+    if not fit(*specs):
+        raise InvalidInput(
+            f"{plant.name} and {controller.name} are of different systems; take a plant and a "
+            "controller of one spec, or of specs that differ in the law alone"
+        )
+    return models_of(specs[0]["form"], specs[0]["structure"], specs[1]["structure"])
+
+
+def block_model(block: Component) -> Model:
+    """The model of a block, derived anew."""
+    about = _required_spec(block)
+    return BLOCKS[about["form"]].model(about["structure"])
+
+
+def driven_by(
+    system: System,
+    plant: Component,
+    controller: Component,
+    blocks: Sequence[Component],
+    models: tuple[Model, Model],
+) -> dict[str, dict[str, str]]:
+    """The elements of inputs that each block drives, and the elements of outputs that drive them.
+
+    The monolithic loop connects equal names both ways, and all of a reference; the system has to
+    do just that.
+    """
+    wanted: set[str] = set()
+    outside: dict[str, tuple[str, str]] = {}
+    for one, other, model in ((controller, plant, models[0]), (plant, controller, models[1])):
+        for entry in model.inputs:
+            names = entry.variables.names
+            if entry.source == "loop":
+                wanted |= {f"{one.name}.{name} -> {other.name}.{name}" for name in names}
+            else:
+                outside |= {f"{other.name}.{name}": (name, entry.source) for name in names}
+    driven: dict[str, dict[str, str]] = {block.name: {} for block in blocks}
+    given, following = set(), ""
+    for link in system.resolve().links:
+        if link.converts:
+            raise InvalidInput(
+                f"connection '{link.name}' converts units, which the equations do not: give "
+                "both blocks one unit"
+            )
+        source, _, target = link.name.partition(" -> ")
+        block, _, output = source.partition(".")
+        if block not in driven or target not in outside:
+            given.add(link.name)
+            continue
+        name, kind = outside[target]
+        driven[block][name] = output
+        if kind == "reference":
+            following = block
+            given.add(link.name)
+    if following:
+        references = (target for target, (_, kind) in outside.items() if kind == "reference")
+        wanted |= {f"{following}.{outside[target][0]} -> {target}" for target in references}
+    for name in sorted(wanted ^ given):
+        verb = "is missing" if name in wanted else "is none of the loop's"
+        raise InvalidInput(f"connection '{name}' {verb}")
+    return driven
+
+
+def start_values_of(component: Component) -> dict[str, Scalar]:
+    """The value of every variable of an FMU that starts with one: given, or else its own."""
+    description = fmpy.read_model_description(str(component.fmu), validate=False)
+    own = {
+        v.name: _typed(v.type, v.start) for v in description.modelVariables if v.start is not None
+    }
+    start = resolve_start(describe(component.fmu), component.start, f"component '{component.name}'")
+    return {**own, **{item.variable.name: item.value for item in start}}
+
+
+def _typed(kind: str, text: str) -> Scalar:
+    if kind == "Boolean":
+        return text in ("true", "1")
+    if kind == "Integer":
+        return int(text)
+    return text if kind == "String" else float(text)
+
+
+def theta_of(values: Mapping[str, Scalar]) -> tuple[list[Profile], list[float]]:
+    """The profile of each component of theta, and the constant that is added to it."""
+    profiles: list[Profile] = []
+    offsets: list[float] = []
+    for j in itertools.count(1):
+        prefix = f"profile[{j}]."
+        flat = {k.removeprefix(prefix): v for k, v in values.items() if k.startswith(prefix)}
+        if not flat:
+            break
+        profiles.append(Profile.from_flat(flat))
+        offsets.append(float(values.get(f"dtheta[{j}]", 0.0)))
+    return profiles, offsets
