@@ -4,6 +4,8 @@ import gc
 import os
 import signal
 import sys
+import threading
+from contextlib import suppress
 from types import FrameType
 
 __all__ = ["main"]
@@ -17,7 +19,8 @@ def main() -> None:
     # The imports take a second or more, and have nothing to clean up: Ctrl-C ends them at once,
     # without the traceback of whichever module is being read.
     before = signal.getsignal(signal.SIGINT)
-    if before is signal.default_int_handler:  # and not ignored, as in a shell's background
+    held = before is not signal.default_int_handler  # ignored, as in a shell's background
+    if not held:
         signal.signal(signal.SIGINT, _end)
     # Imports make thousands of objects that stay: searches for garbage among them take a tenth of
     # the time of a start, and each later search would look through them anew.
@@ -29,15 +32,38 @@ def main() -> None:
     load(sys.argv[1:])
     gc.freeze()
     gc.enable()
-    signal.signal(signal.SIGINT, before)
-    for number in _ENDING:  # how schedulers and closed terminals end a job: like Ctrl-C
-        if signal.getsignal(number) is signal.SIG_DFL:
-            signal.signal(number, _interrupt)
+
+    def ready() -> None:
+        sys.unraisablehook = _unraisable
+        signal.signal(signal.SIGINT, before)
+        for number in _ENDING:  # how schedulers and closed terminals end a job: like Ctrl-C
+            if signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, _interrupt)
+
     try:
-        command()
+        command(ready=ready)
     finally:
+        # What is left is the end of Python, which has nothing to say about a further Ctrl-C.
+        if not held:
+            signal.signal(signal.SIGINT, lambda number, frame: os._exit(_INTERRUPTED))
         # The last search for garbage takes a quarter of a second, and frees what ends anyway.
         gc.freeze()
+        # Where Ctrl-C passed through code that was compiled at run time, as that of a dataclass,
+        # Python would end by the signal in place of the exit code, unless more such code is run.
+        exec("")
+
+
+def _unraisable(found: "sys.UnraisableHookArgs") -> None:
+    """Interrupt again where Ctrl-C met a finalizer, out of which no exception can come."""
+    if found.exc_type is KeyboardInterrupt:
+        # Later and not here, where it could not be raised either.
+        threading.Timer(AGAIN, os.kill, (os.getpid(), signal.SIGINT)).start()
+    else:
+        sys.__unraisablehook__(found)
+
+
+AGAIN = 0.01
+"""Seconds after which Ctrl-C is tried again."""
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
@@ -47,6 +73,8 @@ def _interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def _end(number: int, frame: FrameType | None) -> None:
+    with suppress(OSError):  # nobody may read it
+        os.write(2, b"congelation: interrupted: nothing was begun\n")
     os._exit(_INTERRUPTED)
 
 

@@ -10,7 +10,15 @@ from pathlib import Path
 
 from congelation.errors import CongelationError, InvalidInput
 
-__all__ = ["StoreError", "check_file", "check_folder", "discard", "replace_whole", "shipped"]
+__all__ = [
+    "StoreError",
+    "check_file",
+    "check_folder",
+    "discard",
+    "replace_whole",
+    "shipped",
+    "write_whole",
+]
 
 
 class StoreError(CongelationError):
@@ -41,6 +49,12 @@ def replace_whole(file: Path, write: Callable[[Path], object]) -> None:
         raise StoreError(f"{file} cannot be written: {error}") from error
     finally:
         discard(temporary)
+
+
+def write_whole(file: Path, content: str | bytes) -> None:
+    """Write a file as `replace_whole` does, a text in UTF-8."""
+    data = content.encode("utf-8") if isinstance(content, str) else content
+    replace_whole(file, lambda temporary: temporary.write_bytes(data))
 
 
 def discard(file: Path) -> None:

@@ -35,7 +35,7 @@ html_show_sphinx = False
 html_static_path = ["static"]
 html_css_files = ["site.css"]
 
-myst_enable_extensions = ["deflist", "dollarmath", "fieldlist"]
+myst_enable_extensions = ["attrs_inline", "deflist", "dollarmath", "fieldlist"]
 myst_heading_anchors = 4
 myst_fence_as_directive = ["math"]
 
@@ -93,12 +93,27 @@ def widths(app: Sphinx, document: nodes.document, page: str) -> None:
         names = [name.astext() for name in head]
         described = page.startswith("generated/") and columns > 2 and "what it is" in names
         if described or names in FOLLOWING:
-            # On a phone, which has room for two columns, the cells of a row follow each other.
-            table["classes"].append("stacked")
-            for row in rows:
-                for name, entry in zip(head, row, strict=True):
-                    if name.astext() in LABELLED and entry.astext() not in ("", "required"):
-                        entry["classes"].append(f"labelled-{name.astext()}")
+            labelled = LABELLED
+        elif columns > 2 and any(
+            len(cell.astext()) > LONG_CELL for cell in table.findall(nodes.entry)
+        ):
+            labelled = tuple(names[1:])
+            table["classes"].append("cards")
+        else:
+            continue
+        # On a phone, which has room for two columns, the cells of a row follow each other.
+        table["classes"].append("stacked")
+        for row in rows:
+            for name, entry in zip(head, row, strict=True):
+                if (
+                    name.astext() in labelled
+                    and name.children
+                    and entry.astext() not in ("", "required")
+                ):
+                    title = [child.deepcopy() for child in name[0].children]
+                    entry[0].insert(
+                        0, nodes.inline("", "", *title, nodes.Text(": "), classes=["label"])
+                    )
     for entry in document.findall(nodes.entry):
         size = len(entry.astext())
         if size > LONG_CELL:
@@ -112,18 +127,28 @@ def breaks(found: re.Match[str]) -> str:
     return found[0].replace("_", "_<wbr>")
 
 
+def block(found: re.Match[str]) -> str:
+    """A block of code that a phone breaks before comments, and no window within options."""
+    marked = re.sub(r"(?<=\s)--[a-z-]+", r'<span class="option">\g<0></span>', found[0])
+    return re.sub(r"(?<=\S)  +(?=#|<span class=\"c1\">)", r'<span class="gap">\g<0></span>', marked)
+
+
 def options(app: Sphinx, page: str, template: str, context: dict, document: object) -> None:  # type: ignore[type-arg]
-    """Say in code where a browser may break lines: in options nowhere, in long names after _."""
+    """Say where a browser may break lines: not in options and numbers, after _ in long names."""
     if "body" not in context:  # a page without a text, such as the search
         return
-    body = context["body"].replace('<span class="pre">--', '<span class="pre option">--')
+    body = context["body"].replace('<span class="pre">-', '<span class="pre option">-')
     body = re.sub(rf'(?<=<span class="pre">)\w{{{SHORT_CODE + 1},}}(?=</span>)', breaks, body)
-    context["body"] = re.sub(
-        r"<pre>.*?</pre>",
-        lambda block: re.sub(r"(?<=\s)--[a-z-]+", r'<span class="option">\g<0></span>', block[0]),
-        body,
-        flags=re.DOTALL,
+    body = re.sub(r"(?<=>)([A-Z]\w+)(Controller|Plant)(?=<)", r"\1<wbr>\2", body)
+    body = re.sub(
+        r"<math(?:(?!</math>).)*</math>[,.;:)]+", r'<span class="option">\g<0></span>', body
     )
+    body = re.sub(
+        r">[^<>]*-\d[^<>]*(?=<)",
+        lambda text: re.sub(r"[\w.=]+-\d[\w.]*", r'<span class="option">\g<0></span>', text[0]),
+        body,
+    )
+    context["body"] = re.sub(r"<pre>.*?</pre>", block, body, flags=re.DOTALL)
 
 
 def setup(app: Sphinx) -> None:

@@ -85,8 +85,8 @@ def commands() -> list[str]:
     lines = [
         "# Commands",
         "",
-        "`congelation COMMAND --help` says the same. What a user can set right is one line on "
-        "standard error.",
+        "`congelation COMMAND --help` says the same. An error that the user can correct is one "
+        "line on standard error.",
         "",
         *table(["exit code", "meaning"], list(EXIT_CODES.items())),
     ]
@@ -98,8 +98,11 @@ def commands() -> list[str]:
         lines += [f"## {name}", "", f"    congelation {name} {usage}".rstrip(), "", text, ""]
         rows = [(f"`{_argument(p)}`", p.help or "", "") for p in arguments]
         rows += [(_option(p), p.help or "", _default(p)) for p in options]
+        # Without a default in any row, its column would be empty.
+        columns = 3 if any(default for _, _, default in rows) else 2
         if rows:
-            lines += table(["", "what it is", "default"], rows)
+            head = ["argument or option", "what it is", "default"]
+            lines += table(head[:columns], [row[:columns] for row in rows])
     return lines
 
 
@@ -237,6 +240,8 @@ def fmu(path: Path) -> list[str]:
         *equations(path),
         "```",
         "",
+        "All FMUs of the project are in [The FMUs, one by one](../fmus.md).",
+        "",
     ]
     groups = (
         ("Inputs to connect", model.connect),
@@ -307,4 +312,6 @@ def fmu_index(paths: Sequence[Path]) -> list[str]:
 
 
 def _description(path: Path) -> str:
-    return str(cg.info(path).fmus[0].description)
+    """The title of an FMU's spec and what the FMU itself is: what its own page says at first."""
+    first = html.fromstring(next(equations(path))).text_content()
+    return " ".join(first.split()).partition(" Equation numbers")[0]

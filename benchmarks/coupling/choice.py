@@ -229,7 +229,7 @@ def table(found: Sequence[Chosen]) -> list[str]:
         for ability in TRIED:
             own = [c for c in found if (c.problem.title, c.ability) == (title, ability)]
             rated = [c.ratio for c in own if not math.isnan(c.ratio)]
-            kinds = "/".join(dict.fromkeys(c.run.coupling for c in own))
+            kinds = ", ".join(dict.fromkeys(c.run.coupling for c in own))
             cells.append(f"{max(rated):.2f} {kinds}" if rated else kinds)
         lines.append(f"| {title} | {' | '.join(cells)} |")
     rated = [chosen for chosen in found if not math.isnan(chosen.ratio)]

@@ -45,8 +45,8 @@ _COMMANDS: Mapping[str, str] = {
 and the optimisers take a second, which a run has no use for."""
 
 
-def _app(commands: Iterable[str]) -> typer.Typer:
-    """The command line with some of its commands."""
+def _app(commands: Iterable[str], ready: Callable[[], None] = lambda: None) -> typer.Typer:
+    """The command line with some of its commands, before which `ready` is called."""
     app = typer.Typer(
         name="congelation",
         no_args_is_help=True,
@@ -60,7 +60,7 @@ def _app(commands: Iterable[str]) -> typer.Typer:
     app.callback()(_root)
     for name in commands:
         module = import_module(f"congelation.{_COMMANDS[name]}")
-        app.command(name)(interruptible(getattr(module, name.replace("-", "_"))))
+        app.command(name)(interruptible(getattr(module, name.replace("-", "_")), ready))
     return app
 
 
@@ -86,7 +86,7 @@ def __getattr__(name: str) -> typer.Typer:
 def main(arguments: Sequence[str] | None = None, ready: Callable[[], None] = lambda: None) -> None:
     """Run the command line, with the arguments of the process unless others are given, and exit.
 
-    `ready` is called when everything is imported, before the command begins.
+    `ready` is called when everything is imported and the words are read, before the command begins.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
     # Typer has no option whose value may be left out.
@@ -106,7 +106,7 @@ def main(arguments: Sequence[str] | None = None, ready: Callable[[], None] = lam
                     "or leave it out"
                 )
         try:
-            _app(_called(words))(words)
+            _app(_called(words), ready)(words)
         finally:
             if sys.stdout is not None:  # closed by who started this process
                 sys.stdout.flush()

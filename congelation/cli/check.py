@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +18,7 @@ from congelation.conformance.rules import RULES
 from congelation.conformance.runner import check as run_check
 from congelation.conformance.runner import select
 from congelation.errors import InvalidInput, nearest
-from congelation.places import check_file, replace_whole
+from congelation.places import check_file, write_whole
 from congelation.report.conformance import write_conformance
 
 __all__ = ["check"]
@@ -115,8 +114,7 @@ def check(
         typer.echo(f"{known}: nothing was found for {entry}; remove the entry", err=True)
     for target, text in ((json, to_json(report)), (junit, to_junit(report, fail_on))):
         if target is not None:
-            content = f"{text}\n".encode()
-            replace_whole(target, partial(Path.write_bytes, data=content))
+            write_whole(target, f"{text}\n")
     if html is not None:
         write_conformance(report, html)
     if report.failures(fail_on):

@@ -61,15 +61,23 @@ def complain(text: str) -> None:
     print(f"congelation: {one_line(text)}", file=sys.stderr)
 
 
-def interruptible(command: Callable[P, R]) -> Callable[P, R]:
-    """A command that ends with a line and the exit code of its own when it is interrupted."""
+def interruptible(
+    command: Callable[P, R], ready: Callable[[], None] = lambda: None
+) -> Callable[P, R]:
+    """A command that ends with a line and the exit code of its own when it is interrupted.
+
+    `ready` is called before it: from then on an interruption is a KeyboardInterrupt.
+    """
 
     @functools.wraps(command)
     def wrapped(*arguments: P.args, **options: P.kwargs) -> R:
         try:
+            ready()
             return command(*arguments, **options)
         except KeyboardInterrupt as error:
-            complain("interrupted")
+            complain(
+                "interrupted: each file that is there is whole; give the command again for the rest"
+            )
             raise typer.Exit(INTERRUPTED) from error
 
     return wrapped

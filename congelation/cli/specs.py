@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from congelation.cli.shared import FAILED, VIOLATED, complain, print_json, print_table
+from congelation.cli.shared import BAD_INPUT, FAILED, VIOLATED, complain, print_json, print_table
 from congelation.cosim.pair_info import info as look_at
-from congelation.errors import DesignWarning, counted
+from congelation.errors import CongelationError, DesignWarning, InvalidInput, counted
 from congelation.export.build import build as build_fmus
 from congelation.export.examples import copy_examples, write_starter
+from congelation.export.spec import IsBlock
 from congelation.places import check_file
 from congelation.report.certificates import SHORT, write_certificates
-from congelation.theory.certificate import Finding
 from congelation.verify.certify import Certification, Verdict
 from congelation.verify.certify import certify as search
 
@@ -132,7 +133,10 @@ def info(
 
 
 def certify(
-    file: Annotated[Path, typer.Argument(help="Spec or scenario (.toml).", show_default=False)],
+    files: Annotated[
+        list[Path],
+        typer.Argument(metavar="FILE...", help="Specs or scenarios (.toml).", show_default=False),
+    ],
     samples: Annotated[int, typer.Option(min=1, help="Random states to try.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random states.")] = 0,
     umax: Annotated[
@@ -143,36 +147,65 @@ def certify(
         ),
     ] = None,
     html: Annotated[
-        Path | None, typer.Option(help="Write a page for people.", metavar="FILE")
+        Path | None,
+        typer.Option(help="Write a page for people, of one FILE.", metavar="PAGE"),
     ] = None,
     json: AsJson = False,
 ) -> None:
-    """Check the assumptions of a design, and search for states where V' exceeds its promise.
+    """Check the assumptions of designs, and search for states where V' exceeds its promise.
 
-    Exit code 0: every design holds; 3: one is violated or breaks an assumption; 1: of one nothing
-    can be said, because its law has no certificate or double precision does not suffice.
+    Exit code 0: every design holds; 3: one is violated or breaks an assumption; 2: a file is wrong;
+    1: of one nothing can be said, because its law has no certificate or double precision does not
+    suffice. Of several files the highest of their codes; those of blocks have nothing to certify.
     """
     if html is not None:
+        if len(files) > 1:
+            raise InvalidInput("--html is the page of one file; give one, or leave it out")
         check_file("--html", html)
-    found = search(file, samples=samples, seed=seed, umax=umax)
-    if html is not None:
-        write_certificates(found, file, html, samples=samples, seed=seed)
-    if json:
-        print_json([_record(certification) for certification in found])
-    else:
+    several, code = len(files) > 1, 0
+    records: list[object] = []
+    for file in files:
+        try:
+            found = search(file, samples=samples, seed=seed, umax=umax)
+        except CongelationError as error:
+            if not several:
+                raise
+            complain(str(error))
+            records.append({"file": str(file), "error": str(error), "designs": []})
+            if not isinstance(error, IsBlock):
+                code = max(code, BAD_INPUT if isinstance(error, InvalidInput) else FAILED)
+            continue
+        if html is not None:
+            write_certificates(found, file, html, samples=samples, seed=seed)
+        own = [_record(certification) for certification in found]
+        records += [{"file": str(file), "error": None, "designs": own}] if several else own
+        if several and not json:
+            for name, (*numbers, verdict) in map(_line, found):
+                what = ", ".join(f"{head} {n}" for head, n in zip(HEADS, numbers, strict=True))
+                print(f"{file}: {name}: {verdict} ({what})", flush=True)
         # Of a design that nothing was searched of, the verdict and its reason say all.
-        lines = [_line(one, one.finding) for one in found if one.finding is not None]
-        if lines:
-            columns = [
-                "worst margin",
-                "relative margin",
-                "delta",
-                "radius of theta",
-                "result",
-            ]
-            print_table(f"{file}", columns, lines)
+        elif not json and (searched := [one for one in found if one.finding is not None]):
+            print_table(f"{file}", [*HEADS, "result"], [_line(one) for one in searched])
+        _tell(found, f"{file}: " if several else "", json=json)
+        verdicts = {certification.verdict for certification in found}
+        if verdicts & {Verdict.VIOLATED, Verdict.ASSUMPTION_BROKEN}:
+            code = VIOLATED
+        elif verdicts - {Verdict.HOLDS}:
+            code = max(code, FAILED)
+    if json:
+        print_json(records)
+    if code:
+        raise typer.Exit(code)
+
+
+HEADS = ("worst margin", "relative margin", "delta", "radius of theta")
+"""What is told of a design besides its verdict."""
+
+
+def _tell(found: Sequence[Certification], place: str, *, json: bool) -> None:
+    """Say what there is to say of designs besides the numbers of the search."""
     for certification in found:
-        name = certification.design.name
+        name = f"{place}{certification.design.name}"
         for warning in certification.warnings:
             complain(f"{name}: warning: {warning}")
         if certification.level is not None and not json:
@@ -188,11 +221,6 @@ def certify(
             complain(f"{name}: no level set within the limits: {certification.unlevelled}")
         for reason in certification.reasons:
             complain(f"{name}: {certification.verdict.value}: {reason}")
-    verdicts = {certification.verdict for certification in found}
-    if verdicts & {Verdict.VIOLATED, Verdict.ASSUMPTION_BROKEN}:
-        raise typer.Exit(VIOLATED)
-    if verdicts - {Verdict.HOLDS}:
-        raise typer.Exit(FAILED)
 
 
 def _record(found: Certification) -> dict[str, object]:
@@ -220,10 +248,11 @@ def _record(found: Certification) -> dict[str, object]:
     }
 
 
-def _line(found: Certification, finding: Finding) -> tuple[str, list[str]]:
+def _line(found: Certification) -> tuple[str, list[str]]:
+    margin = None if found.finding is None else found.finding.margin
     return found.design.name, [
-        f"{finding.margin.value:.3g}",
-        f"{finding.margin.relative:.1e}",
+        "unknown" if margin is None else f"{margin.value:.3g}",
+        "unknown" if margin is None else f"{margin.relative:.1e}",
         "any" if found.delta is None else f"{found.delta:.4g}",
         f"{found.design.radius:.4g}",
         SHORT[found.verdict],

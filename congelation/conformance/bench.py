@@ -66,10 +66,7 @@ class Bench:
         """The shared library for this platform."""
         if self.description.identifier is None:
             raise NotApplicable("no FMU for co-simulation: there is no <CoSimulation>")
-        path = binary_path(self.directory, self.description)
-        if not path.is_file():
-            raise NotApplicable(f"no binary for this platform ({path.parent.name}/{path.name})")
-        return path
+        return _existing(binary_path(self.directory, self.description))
 
     @cached_property
     def library(self) -> Library:
@@ -298,10 +295,7 @@ class Bench:
             raise NotApplicable("no FMU for model exchange: there is no <ModelExchange>")
         if identifier == self.description.identifier:
             return self.library
-        path = self.binary.with_stem(identifier)
-        if not path.is_file():
-            raise NotApplicable(f"no binary for this platform ({path.parent.name}/{path.name})")
-        return Library(path, self._tape)
+        return Library(_existing(self.binary.with_stem(identifier)), self._tape)
 
     def elsewhere(self, task: str, *, directory: Path | None = None, argument: str = "") -> str:
         """Do a task of `congelation.conformance.child_main` in another process.
@@ -334,6 +328,13 @@ class Bench:
             why = report.get("error") or f"it ended with {done.returncode} in {where or 'the task'}"
             raise Violated(f"another process failed: {why}")
         return str(report["text"])
+
+
+def _existing(binary: Path) -> Path:
+    """The path, or NotApplicable if there is no such file."""
+    where = f"{binary.parent.name}/{binary.name}"
+    require(binary.is_file(), f"no binary for this platform ({where})")
+    return binary
 
 
 def to_text(trajectory: Trajectory) -> str:

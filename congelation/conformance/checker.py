@@ -18,7 +18,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import TracebackType
 
 from congelation.conformance.accepted import is_pythonfmu, limit_of
 from congelation.conformance.binding import Tape
@@ -91,12 +90,7 @@ class Checker:
         self._children.open()
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self._children.close()
         self._temporary.cleanup()
 

@@ -12,18 +12,31 @@ from congelation.conformance.instance import Instance
 from congelation.conformance.rule import Violated
 from congelation.conformance.trajectory import by_base, demand, excitation, excite, inputs, same
 
-__all__ = ["feedthrough", "initial_sensitivity", "read", "shifted"]
+__all__ = [
+    "QUOTIENT_STEP",
+    "feedthrough",
+    "initial_sensitivity",
+    "is_derivative",
+    "read",
+    "shifted",
+]
 
 # A tenth of the value (or of 1): visible, and seldom out of the range that a model accepts.
 _SHIFT = 0.1
 # A time at which no periodic signal of a round period stands where it stood.
 _DELAY = 0.37
-# Step for telling a direct reaction from one through a state: the latter shrinks with the step.
+# Steps for telling a direct reaction from one through a state: the latter shrinks with the step.
 _TINY_STEP = 1e-4
+_SIZES = (_TINY_STEP, _TINY_STEP / 2.0)
 # Halving the step halves a reaction through a state; a direct one keeps its size.
 _DIRECT = 0.9
 # Below this a difference may be rounding.
 _NOISE = 1e-9
+
+# Difference quotients over such a step are good to a few digits; the bound on their error only has
+# to tell a derivative from something else.
+QUOTIENT_STEP = 1e-5
+_QUOTIENT_ERROR = 1e-2
 
 _Effects = dict[tuple[int, int], tuple[Value, Value]]
 
@@ -45,6 +58,11 @@ def shifted(variable: Variable, value: Value, description: Description) -> Value
     return None
 
 
+def is_derivative(value: float, quotient: float) -> bool:
+    """Whether a number is the derivative that a difference quotient was measured for."""
+    return abs(value - quotient) <= _QUOTIENT_ERROR * (1.0 + abs(quotient))
+
+
 def read(instance: Instance, variables: tuple[Variable, ...]) -> dict[int, Value]:
     """Values by index of the variable."""
     found: dict[int, Value] = {}
@@ -53,10 +71,6 @@ def read(instance: Instance, variables: tuple[Variable, ...]) -> dict[int, Value
         demand(status, f"fmi2Get{base} of {', '.join(v.name for v in group[:5])}")
         found |= {v.index: value for v, value in zip(group, values, strict=True)}
     return found
-
-
-def _changed(base: Mapping[int, Value], other: Mapping[int, Value]) -> Iterator[int]:
-    return (index for index, value in other.items() if not same(value, base[index]))
 
 
 @dataclass(frozen=True)
@@ -108,9 +122,9 @@ def initial_sensitivity(bench: Bench) -> tuple[_Effects, set[int]]:
             if other is None:
                 continue
             varied.add(known.index)
-            for index in _changed(base, other):
-                if index != known.index:
-                    effects[index, known.index] = (base[index], other[index])
+            for index, value in other.items():
+                if index != known.index and not same(value, base[index]):
+                    effects[index, known.index] = (base[index], value)
     instance.free()
     return effects, varied
 
@@ -183,25 +197,21 @@ def feedthrough(bench: Bench) -> tuple[_Effects, set[int]]:
     )
     knowns = tuple(v for v in inputs(description) if v.element == "Real")
     instance = bench.fresh()
-    base = {size: _after(bench, instance, size, None, outputs) for size in _sizes()}
+    base = {size: _after(bench, instance, size, None, outputs) for size in _SIZES}
     effects: _Effects = {}
     varied: set[int] = set()
     for known in knowns:
-        moved = {size: _after(bench, instance, size, known, outputs) for size in _sizes()}
+        moved = {size: _after(bench, instance, size, known, outputs) for size in _SIZES}
         varied.add(known.index)
         for v in outputs:
             whole, half = (
-                abs(float(moved[size][v.index]) - float(base[size][v.index])) for size in _sizes()
+                abs(float(moved[size][v.index]) - float(base[size][v.index])) for size in _SIZES
             )
             before = base[_TINY_STEP][v.index]
             if whole > _NOISE * (1.0 + abs(float(before))) and half > _DIRECT * whole:
                 effects[v.index, known.index] = (before, moved[_TINY_STEP][v.index])
     instance.free()
     return effects, varied
-
-
-def _sizes() -> tuple[float, float]:
-    return _TINY_STEP, _TINY_STEP / 2.0
 
 
 def _after(

@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import cached_property
 from operator import is_
-from types import TracebackType
 
 from congelation.cosim.session import Session
 from congelation.cosim.system import Member
@@ -123,12 +122,7 @@ class SlavePool:
     def __enter__(self) -> SlavePool:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     def _take(self, member: Member, exchange: bool) -> Slave:

@@ -6,7 +6,6 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from errno import EISDIR
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 import numpy.typing as npt
@@ -32,13 +31,13 @@ class Sink(ABC):
     def write(self, block: Floats) -> None:
         """Take a block, shape (n, len(columns)), which may be kept."""
 
-    @abstractmethod
     def close(self) -> None:
-        """No block will follow."""
+        """No block will follow. Here, nothing is left to do."""
+        return
 
-    @abstractmethod
     def abandon(self) -> None:
-        """The run was broken off by an exception."""
+        """The run was broken off by an exception. Here, as `close`."""
+        self.close()
 
 
 class Memory(Sink):
@@ -54,12 +53,6 @@ class Memory(Sink):
     def write(self, block: Floats) -> None:
         """Keep a block."""
         self._blocks.append(block)
-
-    def close(self) -> None:
-        """Nothing is left to do."""
-
-    def abandon(self) -> None:
-        """Nothing is left to do."""
 
     def rows(self) -> Floats:
         """All rows, shape (N, len(columns))."""
@@ -169,12 +162,7 @@ class Recorder:
     def __enter__(self) -> Recorder:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         """Hand over what is left, and close the sink."""
         self._hand_over()
         if error is None:

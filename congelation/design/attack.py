@@ -12,7 +12,7 @@ import math
 import pathlib
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 from congelation.arguments import checked
@@ -98,7 +98,12 @@ def attack(
     if not isinstance(scenario, Scenario):
         scenario = load_scenario(pathlib.Path(scenario))
     require_count(workers, "workers")
-    _check_search(objectives, variants, effort)
+    if not objectives:
+        raise InvalidInput("objectives is empty; name what is to be maximised")
+    if variants is not None and not variants:
+        raise InvalidInput("variants is empty; leave it out for all")
+    if not 0.0 < effort < math.inf:
+        raise InvalidInput(f"effort = {effort} is not valid; give a positive number")
     names = [v.name for v in scenario.variants]
     for name in variants or ():
         if name not in names:
@@ -108,7 +113,7 @@ def attack(
         _Job(scenario, v, _objective(scenario, o), effort, seed) for v in chosen for o in objectives
     ]
     outcomes: dict[int, Find | str] = {}
-    show: Progress = progress or _silent
+    show: Progress = progress or (lambda variant, objective, done, best: None)
     if workers == 1 or len(jobs) == 1:
         for k, job in enumerate(jobs):
             outcomes[k] = _do(job, partial(show, job.variant, job.objective.name))
@@ -126,20 +131,6 @@ def attack(
         tuple(one for one in ordered if isinstance(one, Find)),
         tuple(one for one in ordered if isinstance(one, str)),
     )
-
-
-def _check_search(objectives: Sequence[str], variants: Sequence[str] | None, effort: float) -> None:
-    """Refuse a search of nothing, or without end."""
-    if not objectives:
-        raise InvalidInput("objectives is empty; name what is to be maximised")
-    if variants is not None and not variants:
-        raise InvalidInput("variants is empty; leave it out for all")
-    if not 0.0 < effort < math.inf:
-        raise InvalidInput(f"effort = {effort} is not valid; give a positive number")
-
-
-def _silent(variant: str, objective: str, done: float, best: float) -> None:
-    """Tell nobody."""
 
 
 @dataclass(frozen=True)
@@ -171,18 +162,19 @@ def _do(
     job: _Job, progress: Callable[[float, float], None] = lambda done, best: None
 ) -> Find | str:
     """Search, then verify, best first."""
-    problem, objective = problem_of(job.scenario, job.variant), job.objective
-    name = objective.spec.of or f"{problem.reference.plant}.x"
+    problem, spec = problem_of(job.scenario, job.variant), job.objective.spec
+    of = spec.of or f"{problem.reference.plant}.x"
+    objective = replace(job.objective, spec=replace(spec, of=of))
     differences = []
-    for trial in _trials(problem, objective, name, job, progress):
-        solution, score = solved_again(problem, objective, name, trial)
+    for trial in _trials(problem, objective, job, progress):
+        solution, score = solved_again(problem, objective, trial)
         if not solution.success:
             continue
         difference = abs(score - trial.score) / max(abs(score), 1e-300)
         if objective.late and score <= SETTLED:
             difference = 0.0  # nothing is claimed of it but that it stays small
         if difference <= DIFFERENCE or score == trial.score:
-            return judged(problem, objective, name, trial, solution, difference, job.seed)
+            return judged(problem, objective, trial, solution, difference, job.seed)
         differences.append(difference)
     if not differences:
         return f"{job.variant}: {objective.name}: the loop does not settle, or no solution ended"
@@ -195,12 +187,11 @@ def _do(
 def _trials(
     problem: Problem,
     objective: Objective,
-    name: str,
     job: _Job,
     progress: Callable[[float, float], None],
 ) -> Iterator[Trial]:
     """The candidates of a search, the best first."""
-    v, peak = problem.signal(name), _GRADIENT.get(objective.spec.metric)
+    v, peak = problem.signal(objective.spec.of), _GRADIENT.get(objective.spec.metric)
     if objective.late:
         shooting = Shooting(problem.loop, v, rtol=1e-8, atol=1e-13)
         steps = int(job.effort * EFFORT / shooting.operations / 3)

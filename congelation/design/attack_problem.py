@@ -49,10 +49,6 @@ class Admissible:
     ball: PerturbationSet | None = None
 
     @property
-    def is_box(self) -> bool:
-        return self.ball is None
-
-    @property
     def radius(self) -> float:
         """Radius of the smallest ball about the center that holds the set."""
         return float(np.linalg.norm(self.half)) if self.ball is None else self.ball.delta
@@ -238,17 +234,13 @@ def problem_of(scenario: Scenario, variant: str) -> Problem:
             "theta(t) alone, in a loop that nothing else drives; vary the FMUs' inputs "
             f"instead, such as --vary {found.plant}.dtheta[1]=-1..1"
         )
-    bounds = np.array([profile.bounds() for profile in found.profiles], dtype=float)
-    if not np.isfinite(bounds).all():
+    if not np.isfinite([profile.bounds() for profile in found.profiles]).all():
         raise InvalidInput(f"{variant}: theta(t) has no bounds; give a profile that has")
-    center = bounds.mean(axis=1) + np.array(found.offsets)
-    half = (bounds[:, 1] - bounds[:, 0]) / 2
+    center, half = found.center, found.radii
     ball = _ball(found.loop, len(center))
-    constant = [
-        name
-        for name, v, h in zip(_theta_names(found.loop), ball.varies, half, strict=True)
-        if h > 0 and not v
-    ]
+    theta = found.loop.plant.theta
+    names = () if theta is None else theta.names
+    constant = [n for n, v, h in zip(names, ball.varies, half, strict=True) if h > 0 and not v]
     if constant:
         raise InvalidInput(
             f"{variant}: {', '.join(constant)} varies; output feedback is designed for a constant "
@@ -272,7 +264,3 @@ def _ball(loop: ClosedLoop, p: int) -> PerturbationSet:
     b = p - loop.values["k"].size
     varies = (False,) * b + (True,) * (p - b)
     return PerturbationSet(delta, varies, first=b, delta_1=float(loop.values["delta_1"].item()))
-
-
-def _theta_names(loop: ClosedLoop) -> Sequence[str]:
-    return () if loop.plant.theta is None else loop.plant.theta.names

@@ -162,9 +162,7 @@ class Trial:
     growth: float | None = None
 
 
-def solved_again(
-    problem: Problem, objective: Objective, name: str, trial: Trial
-) -> tuple[Solution, float]:
+def solved_again(problem: Problem, objective: Objective, trial: Trial) -> tuple[Solution, float]:
     """The loop under a candidate by DOP853, and the score at the times of the first solution."""
     cells, end = trial.cells, float(trial.time[-1])
     times = np.union1d(trial.time, np.linspace(float(cells.edges[0]), end, GRID))
@@ -178,20 +176,19 @@ def solved_again(
     picked = np.isin(times, trial.time)
     if objective.spec.metric in ("ise", "integral_of_square"):
         picked[:] = True  # the first solution integrates to more than its own steps tell
-    return solution, objective.score(times[picked], _group(problem, name, solution)[picked])
+    return solution, objective.score(times[picked], _measured(problem, objective, solution)[picked])
 
 
 def judged(
     problem: Problem,
     objective: Objective,
-    name: str,
     trial: Trial,
     solution: Solution,
     difference: float,
     seed: int,
 ) -> Find:
     """The find that a confirmed candidate is, with the certificate along it."""
-    time, values = solution.time, _group(problem, name, solution)
+    time, values = solution.time, _measured(problem, objective, solution)
     after = time >= (trial.struck or -math.inf)
     rows = np.linspace(0, len(time) - 1, min(len(time), 2000)).round().astype(int)
     try:
@@ -243,8 +240,9 @@ def _energy(problem: Problem, solution: Solution) -> float:
     return float(np.sum(z**2, axis=1).max() / 2)
 
 
-def _group(problem: Problem, name: str, solution: Solution) -> Floats:
-    component, _, variable = name.partition(".")
+def _measured(problem: Problem, objective: Objective, solution: Solution) -> Floats:
+    """The signals that an objective is of."""
+    component, _, variable = objective.spec.of.partition(".")
     side = "plant" if component == problem.reference.plant else "controller"
     rows = [n.split("[")[0] == f"{side}.{variable}" for n in problem.loop.output_names]
     values: Floats = solution.outputs[:, rows]

@@ -16,6 +16,7 @@ from congelation.cosim.system import Component, Connection, System
 from congelation.design.attack_problem import Varied
 from congelation.design.finds import Attack, Find
 from congelation.design.shooting import Cells
+from congelation.places import write_whole
 from congelation.scenario.scenario import Experiment, Scenario
 from congelation.signals import Profile
 
@@ -65,7 +66,7 @@ def _write(found: Attack, find: Find, folder: Path) -> Path:
         if find.objective not in metrics and maximised not in metrics.values():
             table["metrics"] = metrics | {find.objective: maximised}
     file = folder / f"{stem}.toml"
-    file.write_text(tomli_w.dumps(table), encoding="utf-8")
+    write_whole(file, tomli_w.dumps(table))
     return file
 
 
@@ -109,7 +110,7 @@ def profile_table(cells: Cells, folder: Path, stem: str) -> Profiles:
             continue
         file = f"{stem}_theta_{j}.csv"
         lines = [f"{float(cells.edges[k])!r},{value!r}" for k, value in rows]
-        (folder / file).write_text("\n".join(["time,value", *lines, ""]), encoding="utf-8")
+        write_whole(folder / file, "\n".join(["time,value", *lines, ""]))
         profile[f"theta[{j}]"] = [{"table": {"file": file}}]
     return profile
 

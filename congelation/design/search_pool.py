@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing import get_context
-from types import TracebackType
 from typing import Any, TypeVar
 
 from congelation.sweep.process import interrupts_held, without_main
@@ -54,12 +53,7 @@ class SearchPool:
     def __enter__(self) -> SearchPool:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         if error is not None:  # nobody waits for what they are doing
             for process in list((self._pool._processes or {}).values()):
                 process.kill()

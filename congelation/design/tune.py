@@ -31,6 +31,7 @@ from congelation.arguments import checked
 from congelation.design.tuning_candidates import OBJECTIVES, Candidates, Evaluator
 from congelation.errors import InvalidInput, require_count
 from congelation.export.spec_assumptions import spec_assumptions
+from congelation.places import write_whole
 from congelation.signals import box_radius
 from congelation.verify.certify import Design, certify_design
 
@@ -252,7 +253,7 @@ def write_proposals(found: Tuning, folder: Path) -> list[Path]:
             "controller": {**document["controller"], "start": start},
         }
         files.append(folder / f"{found.spec.stem}_{k}.toml")
-        files[-1].write_text(tomli_w.dumps(changed), encoding="utf-8")
+        write_whole(files[-1], tomli_w.dumps(changed))
     return files
 
 

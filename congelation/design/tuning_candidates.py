@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -31,7 +30,8 @@ from congelation.results.record import RunRecord
 from congelation.results.store import Store
 from congelation.scenario.metrics import METRICS
 from congelation.signals import Profile
-from congelation.theory.closed_loop import ClosedLoop, SmoothPiece, close
+from congelation.theory.closed_loop import ClosedLoop, close
+from congelation.verify.reference import smooth_pieces
 
 __all__ = ["OBJECTIVES", "Candidates", "Evaluator"]
 
@@ -141,12 +141,7 @@ class Evaluator:
         """The objectives under theta(t) itself, by DOP853."""
         loop = self.loop(vector)
         times = np.linspace(0.0, self.stop, 20_001)
-        start, segments = 0.0, []
-        while start < self.stop:
-            pieces = [profile.segment(start) for profile in self.profiles]
-            end = min(self.stop, *(piece.end for piece in pieces))
-            segments.append(SmoothPiece(start, end, partial(_theta, pieces)))
-            start = end
+        segments = smooth_pieces((0.0, self.stop), self.profiles, [0.0] * len(self.profiles))
         # More rows where the transient is.
         times = np.union1d(times, np.geomspace(1e-6, self.stop, 2000))
         solution = loop.solve(segments, loop.start(), times, rtol=1e-10, atol=1e-12)
@@ -226,12 +221,7 @@ class Candidates:
     def __enter__(self) -> Candidates:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: object, trace: object) -> None:
         if self._pool is not None:
             self._pool.__exit__(kind, error, trace)
         if self._store is not None:
@@ -323,10 +313,6 @@ class Candidates:
             "versions": {"congelation": code_version()},
             "swept": True,
         }
-
-
-def _theta(pieces: Sequence[Any], t: float) -> list[float]:
-    return [piece.value(t) for piece in pieces]
 
 
 def _rounded(value: Floats) -> Floats:

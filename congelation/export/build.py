@@ -28,7 +28,7 @@ from congelation.export.spec import BlockSpec, FmuSpec, Spec, read_buildable
 from congelation.export.spec_assumptions import spec_warnings
 from congelation.export.stage import Staged, stage
 from congelation.fmi.validation import validate
-from congelation.places import check_folder, shipped
+from congelation.places import check_folder, shipped, write_whole
 
 __all__ = ["build"]
 
@@ -184,7 +184,7 @@ def _build_fmu(
             else:
                 _finish(_pythonfmu(staged, folder / "raw"), finished, staged, sources)
             validate(finished)
-            target.write_bytes(finished.read_bytes())
+            write_whole(target, finished.read_bytes())
             built.append(target)
     return built
 

@@ -17,7 +17,7 @@ import casadi as ca
 from congelation.export.equations import constants_of, equation_blocks
 from congelation.export.spec import FmuSpec
 from congelation.export.straight_line import Block, c_function, operations
-from congelation.theory.model import Model
+from congelation.places import write_whole
 from congelation.theory.values import complete_values
 
 __all__ = ["controller_code"]
@@ -46,23 +46,21 @@ def controller_code(fmu: FmuSpec, folder: Path) -> list[Path]:
     InvalidInput, InfeasibleDesign
         A gain cannot be computed from the parameters.
     """
-    values = complete_values(fmu.model)
-    texts = _texts(fmu, [float(x) for name in _groups(fmu.model) for x in values[name].ravel()])
+    texts = _texts(fmu)
     folder.mkdir(parents=True, exist_ok=True)
     paths = [folder / name for name in texts]
     for path, text in zip(paths, texts.values(), strict=True):
-        path.write_text(text, "utf-8")
+        write_whole(path, text)
     return paths
 
 
-def _groups(model: Model) -> list[str]:
-    """The names of what `constants_of` lists, vectors and matrices in one."""
-    return [p.variables.name for p in model.parameters] + [g.variables.name for g in model.gains]
-
-
-def _texts(fmu: FmuSpec, numbers: list[float]) -> dict[str, str]:
-    """The three files by name, with the numbers of parameters and gains."""
+def _texts(fmu: FmuSpec) -> dict[str, str]:
+    """The three files by name."""
     model = fmu.model
+    # The numbers of parameters and gains, element by element, as `constants_of` lists them.
+    groups = [p.variables for p in model.parameters] + [g.variables for g in model.gains]
+    complete = complete_values(model)
+    numbers = [float(x) for group in groups for x in complete[group.name].ravel()]
     known = {name: number for (name, _), number in zip(constants_of(model), numbers, strict=True)}
     # The simpler equations, where the settings of the adaptation law are neutral.
     simple = fmu.special

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import importlib.resources
 import re
+import tempfile
 from pathlib import Path
 from typing import Any
 
 from congelation.arguments import checked
 from congelation.errors import InvalidInput
 from congelation.export.transfer import marks, transfer_function
-from congelation.places import check_folder, shipped
+from congelation.places import check_folder, shipped, write_whole
 
 __all__ = ["copy_examples", "write_starter"]
 
@@ -49,7 +50,7 @@ def copy_examples(folder: Path | str) -> list[Path]:
             )
     for target, text in texts.items():
         check_folder("DIR", target.parent)
-        target.write_bytes(text)
+        write_whole(target, text)
     return list(texts)
 
 
@@ -105,18 +106,23 @@ def write_starter(
     made = Path(folder) / name
     if made.exists():
         raise InvalidInput(f"{made} is there already; give another name")
-    check_folder("NAME", made)
+    check_folder("NAME", made.parent)
     words = {
         **further,
         "@NAME@": name,
         "@FOLDER@": str(made),
         "@FMU@": "".join(part[:1].upper() + part[1:] for part in name.split("_")),
     }
-    for file in ("spec.toml", "scenario.toml"):
-        shape = file.replace(".toml", f"{kind}.toml")
-        template = importlib.resources.files("congelation.export") / "starter" / shape
-        text = template.read_text("utf-8")
-        for mark, word in words.items():
-            text = text.replace(mark, word)
-        (made / file).write_text(text, "utf-8")
+    # The folder appears with both files or, where this is interrupted, not at all.
+    with tempfile.TemporaryDirectory(prefix=f".{name}.", dir=made.parent) as temporary:
+        whole = Path(temporary) / name
+        whole.mkdir()
+        for file in ("spec.toml", "scenario.toml"):
+            shape = file.replace(".toml", f"{kind}.toml")
+            template = importlib.resources.files("congelation.export") / "starter" / shape
+            text = template.read_text("utf-8")
+            for mark, word in words.items():
+                text = text.replace(mark, word)
+            (whole / file).write_text(text, "utf-8")
+        whole.rename(made)
     return made

@@ -341,10 +341,8 @@ def _outputs(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
 def _derivatives(model: Model, causes: _Causes) -> Iterable[ScalarVariable]:
     for v in (output.variables for output in model.outputs if output.differentiated):
         for name, expression, unit in zip(v.names, v.elements, v.units, strict=True):
-            about, depends = (
-                f"Time derivative of {name}",
-                causes.behind(model.total_derivative(expression)),
-            )
+            about = f"Time derivative of {name}"
+            depends = causes.behind(model.total_derivative(expression))
             yield ScalarVariable(f"der({name})", "output", about, _per_second(unit), depends)
 
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from congelation.errors import InvalidInput
+from congelation.places import write_whole
 
 __all__ = ["NAME", "enter", "outdated"]
 
@@ -45,7 +46,7 @@ def enter(fmu: Path, entry: Mapping[str, object], spec: Path | None) -> None:
         place = Path(os.path.relpath(spec.absolute(), fmu.parent.absolute())).as_posix()
         source = {"spec_file": place, "spec_sha256": _digest(spec)}
     entries[fmu.name] = {**entry, "sha256": _sha256(fmu.read_bytes()), **source}
-    manifest.write_text(json.dumps(entries, indent=1, sort_keys=True) + "\n", "utf-8")
+    write_whole(manifest, json.dumps(entries, indent=1, sort_keys=True) + "\n")
 
 
 def outdated(fmu: Path, sha256: str) -> str:

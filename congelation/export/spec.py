@@ -174,17 +174,21 @@ class BlockSpec:
         return (self.block,)
 
 
+class IsBlock(InvalidInput):
+    """A spec is that of a block, where one of a plant and its controller is asked for."""
+
+
 def read_spec(file: Path) -> Spec:
     """Read the spec of a plant and its controller.
 
     Raises
     ------
     InvalidInput
-        Naming the file, the path in it, and what would be valid.
+        Naming the file, the path in it, and what would be valid; `IsBlock` where it is of a block.
     """
     spec = read_buildable(file)
     if isinstance(spec, BlockSpec):
-        raise InvalidInput(
+        raise IsBlock(
             f"{file}: this is the spec of a block ({spec.form}), which can be built only; give "
             "that of a plant and its controller"
         )

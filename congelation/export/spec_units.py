@@ -72,28 +72,30 @@ def read_units(section: Section, form: str, structure: Structure, *models: Model
         units[name] = value if isinstance(value, str) else names
         stated |= {n: unit for n, unit in zip(scalars[name], names, strict=True) if unit}
     followed: dict[str, str] = {}
-    for fit in _FITS.get(form, _none)(structure, {n: factors(u) for n, u in stated.items()}):
+    powers = {name: factors(unit) for name, unit in stated.items()}
+    for fit in _FITS[form](structure, powers) if form in _FITS else ():
+        expected = "" if fit.unit is None else unit_of_factors(fit.unit)
         if fit.unit is not None and fit.name not in stated:
-            followed[fit.name] = unit_of_factors(fit.unit)
-        elif fit.unit is not None:
-            expected = unit_of_factors(fit.unit)
-            if not _equal(stated[fit.name], expected):
-                name = fit.name if fit.name in section.data else fit.name.partition("[")[0]
-                shown = "" if name == fit.name else f"{fit.name} "
-                raise section.error(
-                    name,
-                    f"= '{stated[fit.name]}' does not fit the equation {fit.equation} of the form "
-                    f"'{form}'; give {shown}the unit '{expected}'",
-                )
+            followed[fit.name] = expected
+        elif fit.unit is not None and not _equal(stated[fit.name], expected):
+            name = fit.name if fit.name in section.data else fit.name.partition("[")[0]
+            shown = "" if name == fit.name else f"{fit.name} "
+            raise section.error(
+                name,
+                f"= '{stated[fit.name]}' does not fit the equation {fit.equation} of the form "
+                f"'{form}'; give {shown}the unit '{expected}'",
+            )
     if "theta" in units and "theta_hat" in scalars and "Upsilon" not in structure:
         # An input gain b(t) is an element of theta, but none of theta_hat. With Upsilon, estimated
         # is vartheta, whose units are not those of theta.
         shared = units["theta"]
         own = shared if isinstance(shared, str) else shared[: len(scalars["theta_hat"])]
         units = {"theta_hat": own, **units}
-    # Where all that a radius is over is measured alike, it is measured so, too.
-    for name, source, first in _radii(form, structure):
-        of = units.get(source, "")
+    # Where all that a radius is over is measured alike, it is measured so, too. Of the plant (27),
+    # delta is that of a, which follows b_m .. b_0.
+    before = int(structure["m"]) + 1 if form == "observer" else 0
+    of = units.get("theta_hat", "")
+    for name, first in (("theta_bound", 0), ("delta", before)):
         alike = {of} if isinstance(of, str) else set(of[first:])
         if len(alike) == 1 and alike != {""} and "Upsilon" not in structure:
             units |= {name: alike.pop()}
@@ -109,13 +111,6 @@ def read_units(section: Section, form: str, structure: Structure, *models: Model
         units |= {"q": units["yr"]}
         units |= dict.fromkeys(("r", "offset", "amplitude"), stated["yr[0]"])
     return units
-
-
-def _radii(form: str, structure: Structure) -> Iterator[tuple[str, str, int]]:
-    """The radii, each with what it is over and the place of the first element that counts."""
-    yield "theta_bound", "theta_hat", 0
-    # Of the plant (27) it is that of a, which follows b_m .. b_0.
-    yield "delta", "theta_hat", int(structure["m"]) + 1 if form == "observer" else 0
 
 
 _FOLLOWERS = {
@@ -152,10 +147,6 @@ _SECOND: Powers = {"s": 1}
 def _rate(unit: Powers | None, order: int = 1) -> Powers | None:
     """The unit of a derivative."""
     return _product((unit, 1), (_SECOND, -order))
-
-
-def _none(structure: Structure, unit: Mapping[str, Powers]) -> Iterator[Fit]:
-    yield from ()
 
 
 def _scalar(structure: Structure, unit: Mapping[str, Powers]) -> Iterator[Fit]:

@@ -251,8 +251,7 @@ class _Writer:
         return self._nodes
 
     def _constant(self, value: float) -> int:
-        self._nodes.append(_Node(ca.OP_CONST, (), repr(float(value)), fixed=True))
-        return len(self._nodes) - 1
+        return self._append(_Node(ca.OP_CONST, (), repr(float(value)), fixed=True))
 
     def _read_graph(self) -> None:
         """From CasADi's instructions on a work vector to single assignments."""

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Iterable, Sequence
-from types import TracebackType
 from typing import Any, NoReturn
 
 import numpy as np
@@ -167,12 +166,7 @@ class Slave:
     def __enter__(self) -> Slave:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *raised: object) -> None:
         self.close()
 
     # -- values -------------------------------------------------------------------------------

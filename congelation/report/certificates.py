@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from congelation.places import replace_whole, shipped
+from congelation.places import shipped, write_whole
 from congelation.report.page_shell import lines_of, opening, pairs, plain_page, table, tile
 from congelation.report.summary import number
 from congelation.results.identity import code_version
@@ -74,7 +74,7 @@ def write_certificates(
         "</details></main>",
     ]
     text = plain_page(f"Certificate of {source.name}", pieces)
-    replace_whole(file, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_whole(file, text)
 
 
 def _tile(found: Certification) -> Iterator[str]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from congelation.errors import InvalidInput, counted
-from congelation.places import replace_whole
+from congelation.places import write_whole
 from congelation.report.axes import axes_of
 from congelation.report.comparison import (
     BY_VARIANT,
@@ -92,7 +92,7 @@ def write_comparison(directories: Sequence[Results], file: Path) -> tuple[Compar
         pieces += _inputs(comparison)
     pieces.append("</main>")
     text = page(title, pieces, {"variants": variants, "scales": scales})
-    replace_whole(file, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_whole(file, text)
     return found
 
 

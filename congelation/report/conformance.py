@@ -9,7 +9,7 @@ from pathlib import Path
 from congelation.conformance.finding import Finding, FmuReport, Report, Verdict
 from congelation.conformance.report import words_of
 from congelation.conformance.rule import Level, Outcome
-from congelation.places import replace_whole
+from congelation.places import write_whole
 from congelation.report.page_shell import opening, pairs, plain_page, table, tile
 from congelation.results.identity import code_version
 
@@ -42,7 +42,7 @@ def write_conformance(report: Report, file: Path) -> None:
         "</details></main>",
     ]
     text = plain_page(title, pieces)
-    replace_whole(file, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_whole(file, text)
 
 
 def _verdict(report: Report) -> Iterator[str]:

@@ -13,6 +13,7 @@ from pathlib import Path
 from urllib.parse import quote
 
 from congelation.errors import InvalidInput
+from congelation.places import write_whole
 from congelation.report.page_shell import plain_page
 
 __all__ = ["write_index"]
@@ -30,7 +31,7 @@ def write_index(folder: Path) -> Path:
     if not found:
         raise InvalidInput(f"{folder}: no result directory in it; `congelation run` makes one")
     file = folder / "index.html"
-    file.write_text(plain_page("Results", _page(folder, found)), "utf-8")
+    write_whole(file, plain_page("Results", _page(folder, found)))
     return file
 
 

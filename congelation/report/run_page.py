@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from congelation.errors import InvalidInput
-from congelation.places import replace_whole
+from congelation.places import write_whole
 from congelation.report.curves import POINTS, curve_panels
 from congelation.report.diagram import diagram
 from congelation.report.page_shell import Drawn, lines_of, opening, page, pairs, swatch, table, tile
@@ -42,7 +42,7 @@ def write_html(results: Results, file: Path) -> None:
     study = results.study()
     require_runs(results, study)
     text = _study_page(results, study) if study.about["swept"] else _run_page(results, study)
-    replace_whole(file, lambda temporary: temporary.write_text(text, encoding="utf-8"))
+    write_whole(file, text)
 
 
 def require_runs(results: Results, study: Study) -> None:

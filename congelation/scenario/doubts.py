@@ -160,9 +160,21 @@ def _settings(
                 yield _Setting(members[owner], name, value, source)
 
 
+def _sizes(settings: Collection[_Setting]) -> set[str]:
+    """The amplitudes that are not 0 in some run: as given, or the FMU's own unless replaced."""
+    replaced = {item.column for item in settings if item.is_start}
+    sizes = {item.column for item in settings if item.value}
+    for item in settings:
+        if item.turns is not None and item.size not in replaced:
+            own = item.member.description.variables[item.size.partition(".")[2]].default
+            if own and float(own):
+                sizes.add(item.size)
+    return sizes
+
+
 def _of_no_term(settings: Collection[_Setting]) -> Iterator[str]:
     """A line for each number of a term that no profile has: nothing gives it an amplitude."""
-    sizes = {item.column for item in settings if item.value}
+    sizes = _sizes(settings)
     for item in settings:
         if not item.is_start and item.turns is not None and item.size not in sizes:
             yield (
@@ -204,7 +216,7 @@ def _too_fast(
     if f"{EXPERIMENT}.stop_time" in given:
         return
     horizon = experiment.stop_time - experiment.start_time
-    sizes = {item.column for item in settings if item.value}
+    sizes = _sizes(settings)
     for item in settings:
         if item.turns is None or item.size not in sizes:
             continue

@@ -175,10 +175,6 @@ def _do(job: Job, files: Mapping[str, tuple[str, bytes]] | None, task: Task) -> 
                     return event
 
 
-def _write(content: bytes, file: Path) -> None:
-    file.write_bytes(content)
-
-
 def _unpacked(job: Job, files: Mapping[str, tuple[str, bytes]], task: Task) -> tuple[Job, Task]:
     """Job and run with the paths that their files have on this machine."""
     from distributed import get_worker
@@ -187,7 +183,7 @@ def _unpacked(job: Job, files: Mapping[str, tuple[str, bytes]], task: Task) -> t
     here = {path: root / place for path, (place, _) in files.items()}
     for path, (_, content) in files.items():
         if not here[path].is_file():
-            replace_whole(here[path], partial(_write, content))
+            replace_whole(here[path], partial(Path.write_bytes, data=content))
 
     def moved(values: Mapping[str, Any]) -> dict[str, Any]:
         return {

@@ -22,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 from congelation.errors import InvalidInput, counted
 from congelation.theory.closed_loop import ClosedLoop, Compiled
 
-__all__ = ["Certificate", "Coordinates", "Finding", "Margin", "PerturbationSet"]
+__all__ = ["Certificate", "Coordinates", "Finding", "Margin", "PerturbationSet", "Terms"]
 
 Vector = NDArray[np.float64]
 
@@ -261,6 +261,33 @@ class Encounter:
 
 
 @dataclass(frozen=True)
+class Terms:
+    """A Lyapunov function and its claim V' <= -claimed + residue, or summands of both.
+
+    Attributes
+    ----------
+    V, claimed, residue : casadi.SX, (1, 1)
+        In terms of the loop's states and ell; numbers for the parameters.
+    decay : float
+        a > 0 where the claimed rate is at least a V everywhere, so that V ends below residue/a; 0
+        where it is not, such as without leakage.
+    """
+
+    V: ca.SX
+    claimed: ca.SX
+    residue: ca.SX
+    decay: float
+
+    def __add__(self, other: Terms) -> Terms:
+        return Terms(
+            self.V + other.V,
+            self.claimed + other.claimed,
+            self.residue + other.residue,
+            min(self.decay, other.decay),
+        )
+
+
+@dataclass(frozen=True)
 class Certificate:
     """A Lyapunov function V of a closed loop and the claim V' <= -claimed + residue.
 
@@ -269,8 +296,7 @@ class Certificate:
     loop : ClosedLoop
     ell : casadi.SX, shape (p, 1)
         The congealed parameters; then delta, where the claim holds for any.
-    V, claimed, residue : casadi.SX, (1, 1)
-        In terms of the loop's states and ell; numbers for the parameters.
+    terms : Terms
     perturbations : PerturbationSet
     sample_ell : callable
         A random admissible ell from a generator.
@@ -278,33 +304,27 @@ class Certificate:
         Where the search draws and ascends.
     nominal : casadi.SX or None
         theta at Delta = 0, in terms of the loop's states and ell; None: ell itself, less delta.
-    decay : float
-        a > 0 where the claimed rate is at least a V everywhere, so that V ends below residue/a; 0
-        where it is not, such as without leakage.
     """
 
     loop: ClosedLoop
     ell: ca.SX
-    V: ca.SX
-    claimed: ca.SX
-    residue: ca.SX
+    terms: Terms
     perturbations: PerturbationSet
     sample_ell: Callable[[np.random.Generator], Vector]
     coordinates: Coordinates
     nominal: ca.SX | None = None
-    decay: float = 0.0
 
     def ultimate(self, ell: ArrayLike) -> float | None:
         """The bound that V ends below, residue/a; None where there is none for every reference."""
-        function = ca.Function("residue", [self.ell], [self.residue], {"allow_free": True})
-        if self.decay <= 0 or function.has_free():
+        function = ca.Function("residue", [self.ell], [self.terms.residue], {"allow_free": True})
+        if self.terms.decay <= 0 or function.has_free():
             return None
-        return float(function(np.asarray(ell, float))) / self.decay
+        return float(function(np.asarray(ell, float))) / self.terms.decay
 
     def at(self, state: ArrayLike, ell: ArrayLike) -> Margin:
         """The margin at a state of the closed loop, for congealed parameters ell."""
         return self._margin(
-            self._terms(state, ell), self.perturbations.about(np.asarray(ell, float))
+            self._numbers(state, ell), self.perturbations.about(np.asarray(ell, float))
         )
 
     def along(self, states: ArrayLike, ell: ArrayLike) -> list[Margin]:
@@ -404,18 +424,17 @@ class Certificate:
         """V' at Delta = 0, the magnitudes of its terms, and its gradient with respect to Delta."""
         X, theta = self.loop.arguments
         (f,) = self.loop.bind([self.loop.rate])
-        terms = ca.jacobian(self.V, X).T * f
+        terms = ca.jacobian(self.terms.V, X).T * f
         gradient = ca.jacobian(ca.sum1(terms), theta).T
         constants = self.ell[: theta.numel()] if self.nominal is None else self.nominal
         center, gradient = ca.substitute([terms, gradient], [theta], [constants])
         return ca.sum1(center), ca.sum1(ca.fabs(center)), gradient
 
     @cached_property
-    def _terms(self) -> Compiled:
-        center, size, gradient = self._rate
-        X, _ = self.loop.arguments
-        terms = [self.V, self.claimed, self.residue, center, size, gradient]
-        return Compiled(terms, [X, self.ell])
+    def _numbers(self) -> Compiled:
+        """(X, ell) -> V, the claim, and the parts of V'."""
+        own, (X, _) = self.terms, self.loop.arguments
+        return Compiled([own.V, own.claimed, own.residue, *self._rate], [X, self.ell])
 
     @cached_property
     def _slope(self) -> Compiled:
@@ -424,9 +443,9 @@ class Certificate:
         X, _ = self.loop.arguments
         Delta = ca.SX.sym("Delta", gradient.numel())
         reach = gradient.T @ Delta
-        scale = size + ca.fabs(reach) + ca.fabs(self.claimed) + ca.fabs(self.residue)
-        value = center + reach + self.claimed - self.residue
-        excess = value / (self.claimed + ROUNDING * scale)
+        claimed, residue = self.terms.claimed, self.terms.residue
+        scale = size + ca.fabs(reach) + ca.fabs(claimed) + ca.fabs(residue)
+        excess = (center + reach + claimed - residue) / (claimed + ROUNDING * scale)
         drawn = self.coordinates
         # The chain rule by hand: the gradient in X, pulled back through X(Y), is the smaller graph.
         (slope,) = ca.substitute([ca.gradient(excess, X)], [X], [drawn.X])

@@ -18,6 +18,7 @@ from congelation.theory.model import (
     Parameter,
     State,
     Variables,
+    control,
     vector,
 )
 from congelation.theory.observer_form import checked_orders
@@ -67,7 +68,13 @@ class OutputFeedbackDesign:
     @property
     def alphabar_1(self) -> ca.SX:
         """alphabar_1 of (49), without its damping multiplied by the estimate of 1/b_m."""
-        return _alphabar_1(self)
+        symbols, k_filter, z_1 = self.symbols, self.filter, self.symbols.z_1
+        return (
+            -(symbols.c.symbol[0] + symbols.d.symbol[0]) * z_1
+            + _damping(self) * z_1
+            - second_row(k_filter.xi)
+            - _omegabar(k_filter, symbols.y.symbol).T @ symbols.theta_hat.symbol
+        )
 
     @property
     def u(self) -> ca.SX:
@@ -82,8 +89,11 @@ class OutputFeedbackDesign:
 
     @property
     def rho_hat_rate(self) -> ca.SX:
-        """rho_hat' of (54)."""
-        return _rho_hat_rate(self)
+        """rho_hat' = -gamma sgn(b_m) (alphabar_1 + y_r') z_1, (54)."""
+        symbols, law, z_1 = self.symbols, self.rho_adaptation, self.symbols.z_1
+        wanted = self.alphabar_1 + symbols.reference(1)
+        regressor = law.regressor(-symbols.sign_b_m.symbol * wanted, z_1)
+        return symbols.gamma.symbol * law.rate(regressor * z_1)
 
     @property
     def D_hat_rate(self) -> ca.SX:
@@ -190,37 +200,17 @@ def _omegabar(k_filter: KFilter, y: ca.SX) -> ca.SX:
     return omegabar
 
 
-def _alphabar_1(design: OutputFeedbackDesign) -> ca.SX:
-    """alphabar_1 of (49)."""
-    symbols, k_filter = design.symbols, design.filter
-    z_1 = symbols.z_1
-    return (
-        -(symbols.c.symbol[0] + symbols.d.symbol[0]) * z_1
-        + _damping(design) * z_1
-        - second_row(k_filter.xi)
-        - _omegabar(k_filter, symbols.y.symbol).T @ symbols.theta_hat.symbol
-    )
-
-
 def _feedforward(design: OutputFeedbackDesign, order: int) -> ca.SX:
     """rho_hat y_r^(order), what v_{m,order+1} is to follow; 0 without a reference."""
     symbols = design.symbols
     return ca.SX(0) if symbols.yr is None else symbols.rho_hat.symbol * symbols.reference(order)
 
 
-def _rho_hat_rate(design: OutputFeedbackDesign) -> ca.SX:
-    """rho_hat' = -gamma sgn(b_m) (alphabar_1 + y_r') z_1, (54)."""
-    symbols, law, z_1 = design.symbols, design.rho_adaptation, design.symbols.z_1
-    wanted = _alphabar_1(design) + symbols.reference(1)
-    regressor = law.regressor(-symbols.sign_b_m.symbol * wanted, z_1)
-    return symbols.gamma.symbol * law.rate(regressor * z_1)
-
-
 def _first_step(design: OutputFeedbackDesign) -> OutputFeedbackStep:
     """Step 1: (45), (47), (49)."""
     symbols, k_filter, law = design.symbols, design.filter, design.adaptation
     y, z = symbols.y.symbol, symbols.z_1  # (45)
-    alpha = symbols.rho_hat.symbol * _alphabar_1(design)  # (49)
+    alpha = symbols.rho_hat.symbol * design.alphabar_1  # (49)
     if k_filter.rho == 1:
         # Here b_m (u + v_{m,2}) = b_m alpha_1 exactly: no z_2, so b_m is not estimated.
         w = _omegabar(k_filter, y)
@@ -272,7 +262,7 @@ def _beta(design: OutputFeedbackDesign, dalpha: Partial) -> ca.SX:
         + dalpha.eta @ k_filter.eta_rate(y)
         + k_filter.k.symbol[i - 1] * k_filter.v[-1][0]
         + dalpha.lambda_ @ free_lambda_rate
-        + (dalpha.rho_hat + symbols.reference(i - 1)) * _rho_hat_rate(design)
+        + (dalpha.rho_hat + symbols.reference(i - 1)) * design.rho_hat_rate
         + known
     )
 
@@ -351,9 +341,7 @@ def output_feedback_model(design: OutputFeedbackDesign) -> Model:
         ),
         gains=design.filter_design.gains,
         outputs=(
-            Output(
-                Variables("u", design.u, "Control u of (53)", indexed=False), differentiated=True
-            ),
+            control(design.u, "Control u of (53)"),
             *(Output(v) for v in estimates),
             Output(Variables("z", design.z, "Error variables z of (45)-(46)")),
         ),

@@ -102,7 +102,7 @@ def largest_level(
     Y, X = certificate.coordinates.Y, certificate.coordinates.X
     states, _ = loop.arguments
     u = loop.bound_signal("controller.u")
-    V, u = ca.substitute([certificate.V, u], [states], [X])
+    V, u = ca.substitute([certificate.terms.V, u], [states], [X])
     value = Compiled([V, u], [Y, certificate.ell])
     slope = Compiled([ca.gradient(V, Y), ca.gradient(u, Y)], [Y, certificate.ell])
     drawn = Compiled([X], [Y, certificate.ell])
@@ -152,7 +152,7 @@ def _check_bounds(certificate: Certificate) -> None:
             "V does not bound Upsilon(t), from which u is made; there is no level set of V on "
             "which |u| <= umax"
         )
-    if not certificate.residue.is_zero():
+    if not certificate.terms.residue.is_zero():
         raise InvalidInput(
             "the claim has a residue, so that V may grow and leave its level sets; give a law "
             "without one (switching leakage, projection)"

@@ -13,12 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
-from congelation.errors import InvalidInput
 from congelation.export.spec_assumptions import structured
 from congelation.results.record import Trajectory
 from congelation.scenario.parts import Case
 from congelation.verify.certify import certificate_of
-from congelation.verify.reference import Reference, reference
+from congelation.verify.reference import reference
 
 __all__ = [
     "CERTIFICATE",
@@ -26,9 +25,7 @@ __all__ = [
     "MOST_ROWS",
     "Along",
     "along",
-    "center",
     "loop_states",
-    "radii",
     "with_certificate",
 ]
 
@@ -141,7 +138,7 @@ def along(
         case.experiment.start_time,
         case.experiment.stop_time,
     )
-    middle, half = center(found), radii(found)
+    middle, half = found.center, found.radii
     if split is not None:
         p = len(split.radii)  # b(t) may follow
         middle = np.concatenate([split.vartheta, middle[p:]])
@@ -155,7 +152,7 @@ def along(
         np.array([margin.rate for margin in margins]),
         np.array([margin.claimed for margin in margins]),
         np.array([margin.residue for margin in margins]),
-        certificate.decay,
+        certificate.terms.decay,
     )
 
 
@@ -176,19 +173,3 @@ def with_certificate(case: Case, run: Trajectory) -> Trajectory:
     values = np.column_stack([run.values, *added.values()])
     units = dict(run.units) | dict.fromkeys(names, "")
     return replace(run, columns=(*run.columns, *names), values=values, units=units)
-
-
-def center(found: Reference) -> Floats:
-    """The centre of the box that theta(t) fills."""
-    bounds = [profile.bounds() for profile in found.profiles]
-    if not np.isfinite(bounds).all():
-        raise InvalidInput("theta(t) has no bounds")
-    middle: Floats = np.mean(bounds, axis=1) + np.array(found.offsets)
-    return middle
-
-
-def radii(found: Reference) -> Floats:
-    """Half the sides of the box that theta(t) fills."""
-    bounds = np.array([profile.bounds() for profile in found.profiles])
-    half: Floats = (bounds[:, 1] - bounds[:, 0]) / 2
-    return half

@@ -42,7 +42,6 @@ __all__ = [
     "Certification",
     "Design",
     "Verdict",
-    "assumptions",
     "certificate_of",
     "certify",
     "certify_design",
@@ -154,11 +153,6 @@ class Certification:
         return tuple(str(remark) for remark in self.design.remarks if not remark.broken)
 
 
-def assumptions(design: Design) -> tuple[Remark, ...]:
-    """The assumptions of the theorem that a design breaks, and what cannot be known of them."""
-    return design.remarks
-
-
 def certificate_of(loop: ClosedLoop) -> Certificate:
     """The certificate of a loop, by the name of its controller's model.
 
@@ -253,7 +247,7 @@ def certify_design(design: Design, samples: int = 1000, seed: int = 0) -> Certif
     InvalidInput
         If there is no Lyapunov function for the parameters of the design.
     """
-    broken = tuple(str(remark) for remark in assumptions(design) if remark.broken)
+    broken = tuple(str(remark) for remark in design.remarks if remark.broken)
     if broken:
         return Certification(design, Verdict.ASSUMPTION_BROKEN, broken)
     states = [s.variables for s in design.loop.controller.states]
@@ -283,7 +277,7 @@ def certify_design(design: Design, samples: int = 1000, seed: int = 0) -> Certif
         return Certification(design, Verdict.PRECISION, (reason,), finding)
     ultimate = None
     known = np.isfinite([*design.center, *design.half]).all() and bool(design.center)
-    if known and design.loop.controller.Upsilon is None and not certificate.residue.is_zero():
+    if known and design.loop.controller.Upsilon is None and not certificate.terms.residue.is_zero():
         ell = certificate.perturbations.ell(np.array(design.center), np.array(design.half))
         ultimate = certificate.ultimate(ell)
     return Certification(design, Verdict.HOLDS, (), finding, ultimate=ultimate)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import final
+from typing import TYPE_CHECKING, final
 
 import numpy as np
 import numpy.typing as npt
@@ -18,6 +18,9 @@ from congelation.errors import CongelationError
 from congelation.results.record import Trajectory
 from congelation.scenario.metrics import metric, norm
 from congelation.scenario.parts import Case, MetricSpec
+
+if TYPE_CHECKING:
+    from congelation.verify.along_run import Along
 
 __all__ = ["LOOP_METRICS", "Points", "measure", "unresolved"]
 
@@ -50,14 +53,6 @@ class Points(Sink):
         """Keep these columns of a block."""
         self._kept.write(block[:, self._picked])
 
-    def close(self) -> None:
-        """Nothing is left to do."""
-        self._kept.close()
-
-    def abandon(self) -> None:
-        """Nothing is left to do."""
-        self._kept.abandon()
-
     def times(self) -> Floats:
         """When the points were, shape (N,)."""
         return self._kept.rows()[:, 0]
@@ -75,49 +70,37 @@ class Points(Sink):
         return Trajectory(chosen[:, 0], self._columns, chosen[:, 1:], kept.units)
 
 
-def lyapunov(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
-    """The largest relative margin of the Lyapunov certificate along the run."""
-    # Here, as it brings CasADi, whose import the workers of other studies do without.
-    from congelation.verify.along_run import along
-
-    return along(case, time, columns, values).worst
+LoopMetric = Callable[[Case, Floats, Sequence[str], Floats], float]
+"""A number of a run, from its case, times, columns and values, shapes (N,), (N, M)."""
 
 
-def lyapunov_share(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
-    """How much of what the certificate allows the run has used."""
-    from congelation.verify.along_run import MOST_INTEGRATED, along
+def _along(part: Callable[[Along], float], *, integrated: bool = False) -> LoopMetric:
+    """A metric that is a part of the certificate along the run."""
 
-    return along(case, time, columns, values, MOST_INTEGRATED).share
+    def measured(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
+        # Here, as it brings CasADi, whose import the workers of other studies do without.
+        from congelation.verify.along_run import MOST_INTEGRATED, MOST_ROWS, along
 
+        most = MOST_INTEGRATED if integrated else MOST_ROWS
+        return part(along(case, time, columns, values, most))
 
-def ultimate_bound(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
-    """What the certificate says that V ends below."""
-    from congelation.verify.along_run import along
-
-    return along(case, time, columns, values).ultimate
-
-
-def ultimate_share(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
-    """The largest V of the run, each against its bound at that time."""
-    from congelation.verify.along_run import along
-
-    return along(case, time, columns, values).ultimate_share
+    return measured
 
 
-def deviation(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
+def _deviation(case: Case, time: Floats, columns: Sequence[str], values: Floats) -> float:
     """The largest distance from the monolithic solution, relative to a variable's peak."""
-    from congelation.verify.reference import compare, reference  # as above
+    from congelation.verify.reference import compare, reference  # here, as above
 
     found = compare(reference(case), Trajectory(time, tuple(columns), values, {}))
     return max(entry.relative for entry in found)
 
 
-LOOP_METRICS: Mapping[str, Callable[[Case, Floats, Sequence[str], Floats], float]] = {
-    "lyapunov": lyapunov,
-    "lyapunov_share": lyapunov_share,
-    "ultimate_bound": ultimate_bound,
-    "ultimate_share": ultimate_share,
-    "deviation": deviation,
+LOOP_METRICS: Mapping[str, LoopMetric] = {
+    "lyapunov": _along(lambda found: found.worst),
+    "lyapunov_share": _along(lambda found: found.share, integrated=True),
+    "ultimate_bound": _along(lambda found: found.ultimate),
+    "ultimate_share": _along(lambda found: found.ultimate_share),
+    "deviation": _deviation,
 }
 """The functions of the metrics that are declared to be of the loop, by name."""
 

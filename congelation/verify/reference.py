@@ -19,7 +19,7 @@ import numpy.typing as npt
 from congelation.arguments import checked
 from congelation.cosim.result import Result
 from congelation.cosim.system import System
-from congelation.errors import CongelationError
+from congelation.errors import CongelationError, InvalidInput
 from congelation.export.interface import start_names
 from congelation.results.record import Trajectory
 from congelation.scenario.parts import Case, Experiment, Scalar
@@ -41,6 +41,7 @@ __all__ = [
     "Reference",
     "compare",
     "reference",
+    "smooth_pieces",
     "verify",
 ]
 
@@ -68,6 +69,13 @@ class Deviation:
     variable: str
     error: float
     relative: float
+
+    @classmethod
+    def of(cls, variable: str, values: Floats, exact: Floats) -> Deviation:
+        """That of co-simulated values from exact ones."""
+        error, peak = float(np.max(np.abs(values - exact))), float(np.max(np.abs(exact)))
+        relative = error / peak if peak > 0.0 else math.inf
+        return cls(variable, error, relative if error != 0.0 else 0.0)
 
 
 @dataclass(frozen=True)
@@ -134,6 +142,22 @@ class Reference:
             for name, values in zip(names, (*solution.states.T, *solution.outputs.T), strict=True)
             if name not in given
         }
+
+    @property
+    def center(self) -> Floats:
+        """The centre of the box that theta(t) fills."""
+        bounds = [profile.bounds() for profile in self.profiles]
+        if not np.isfinite(bounds).all():
+            raise InvalidInput("theta(t) has no bounds")
+        middle: Floats = np.mean(bounds, axis=1) + np.array(self.offsets)
+        return middle
+
+    @property
+    def radii(self) -> Floats:
+        """Half the sides of the box that theta(t) fills."""
+        bounds = np.array([profile.bounds() for profile in self.profiles], dtype=float)
+        half: Floats = (bounds[:, 1] - bounds[:, 0]) / 2
+        return half
 
     @cached_property
     def certified(self) -> ClosedLoop:
@@ -219,7 +243,12 @@ def reference(case: Case) -> Reference:
         loop,
         tuple(profiles),
         tuple(offsets),
-        _segments(case, profiles, offsets, signals, timed=bool(blocks)),
+        smooth_pieces(
+            (case.experiment.start_time, case.experiment.stop_time),
+            (*profiles, *signals),
+            (*offsets, *(0.0 for _ in signals)),
+            timed=bool(blocks),
+        ),
         loop.start(states),
     )
 
@@ -292,17 +321,10 @@ def _deviations(
     times, rows = np.unique(time, return_inverse=True)
     exact = found.solve(times)
     return tuple(
-        _deviation(column, values[:, k], exact[column][rows])
+        Deviation.of(column, values[:, k], exact[column][rows])
         for k, column in enumerate(columns)
         if column in exact
     )
-
-
-def _deviation(variable: str, values: Floats, exact: Floats) -> Deviation:
-    error, peak = float(np.max(np.abs(values - exact))), float(np.max(np.abs(exact)))
-    if error == 0.0:
-        return Deviation(variable, 0.0, 0.0)
-    return Deviation(variable, error, error / peak if peak > 0.0 else math.inf)
 
 
 def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]:
@@ -312,26 +334,25 @@ def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]
     }
 
 
-def _segments(
-    case: Case,
+def smooth_pieces(
+    span: tuple[float, float],
     profiles: Sequence[Profile],
     offsets: Sequence[float],
-    signals: Sequence[Profile],
-    timed: bool,
+    *,
+    timed: bool = False,
 ) -> tuple[SmoothPiece, ...]:
-    """theta(t), then the signals of the reference and time, on the pieces between their jumps."""
-    stop = case.experiment.stop_time
-    segments, time = [], case.experiment.start_time
+    """Profiles plus constants, and the time if asked for, on the pieces of a span between jumps."""
+    time, stop = span
+    found = []
     while time < stop:
-        pieces = [profile.segment(time) for profile in (*profiles, *signals)]
+        pieces = [profile.segment(time) for profile in profiles]
         end = min([piece.end for piece in pieces] + [stop])
-        added = (*offsets, *(0.0 for _ in signals))
-        segments.append(SmoothPiece(time, end, partial(_theta_at, pieces, added, timed)))
+        found.append(SmoothPiece(time, end, partial(_values_at, pieces, offsets, timed)))
         time = end
-    return tuple(segments)
+    return tuple(found)
 
 
-def _theta_at(
+def _values_at(
     pieces: Sequence[Segment], offsets: Sequence[float], timed: bool, t: float
 ) -> list[float]:
     values = [piece.value(t) + offset for piece, offset in zip(pieces, offsets, strict=True)]

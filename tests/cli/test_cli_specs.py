@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+import re
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import NamedTuple
@@ -12,6 +15,7 @@ import pytest
 from congelation import cli
 from congelation.cli import specs
 from congelation.cli.shared import EXIT_CODES
+from tests.studies import environment
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -57,11 +61,11 @@ def test_certify_names_the_state_of_a_violation(congelation):
     assert "plant.x[1] = " in line
 
 
-def changed(folder: Path, spec: str, old: str, new: str) -> str:
+def changed(folder: Path, spec: str, old: str, new: str, name: str = "") -> str:
     """A copy of a shipped spec with one change."""
     text = (ROOT / "specs" / f"{spec}.toml").read_text("utf-8")
     assert old in text
-    file = folder / f"{spec}.toml"
+    file = folder / f"{name or spec}.toml"
     file.write_text(text.replace(old, new))
     return str(file)
 
@@ -229,7 +233,90 @@ def test_an_interruption_is_one_line(congelation, monkeypatch, tmp_path):
 
     monkeypatch.setattr(specs, "build_fmus", interrupted)
     done = congelation("build", "specs/scalar.toml", "--out", tmp_path)
-    assert done == (130, "", "congelation: interrupted\n")
+    assert done == (130, "", f"congelation: {INTERRUPTION}\n")
+
+
+INTERRUPTION = "interrupted: each file that is there is whole; give the command again for the rest"
+
+PATCHED = """
+import signal, sys, time
+import congelation.__main__ as program
+from congelation import cli
+from congelation.cli import specs
+
+def interrupt(*anything, **options):
+    signal.raise_signal(signal.SIGINT)
+
+class Finalized:
+    __del__ = interrupt
+
+def act(*anything, **options):
+    ACTION
+
+PLACE = act
+sys.argv = ["congelation", "build", "spec.toml"]
+program.main()
+"""
+
+
+@pytest.mark.parametrize(
+    ("place", "action", "line"),
+    [
+        ("cli.load", "interrupt()", "interrupted: nothing was begun"),
+        ("specs.build_fmus", "interrupt()", INTERRUPTION),
+        # Python would end by the signal, as it does for code that it is given as a text.
+        ("specs.build_fmus", 'exec("interrupt()", {"interrupt": interrupt})', INTERRUPTION),
+        # Out of a finalizer no exception comes.
+        ("specs.build_fmus", "Finalized(); time.sleep(60)", INTERRUPTION),
+    ],
+)
+def test_wherever_ctrl_c_comes_it_is_one_line(place: str, action: str, line: str) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", PATCHED.replace("PLACE", place).replace("ACTION", action)],
+        capture_output=True,
+        text=True,
+        env=environment(),
+        timeout=50,
+    )
+    assert (done.returncode, done.stderr) == (130, f"congelation: {line}\n")
+
+
+@pytest.mark.parametrize("whole", [0, 1])
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("new", "servo"),
+        ("examples", "copied"),
+        ("build", ROOT / "specs" / "scalar.toml", "--out", "fmus"),
+        ("build", ROOT / "specs" / "scalar.toml", "--out", "fmus", "--c-code"),
+    ],
+)
+def test_an_interruption_leaves_no_part_of_a_file(congelation, monkeypatch, tmp_path, words, whole):
+    """Half of a file is written when Ctrl-C comes, after some whole ones."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "fmus").mkdir()
+    (tmp_path / "fmus" / "manifest.json").write_text("{}")
+    contents: list[bytes] = [b"{}"]
+    write = Path.write_bytes
+
+    def write_bytes(self: Path, data: bytes) -> int:
+        if not self.absolute().is_relative_to(tmp_path):
+            return write(self, data)
+        if len(contents) > whole:
+            write(self, data[: len(data) // 2])
+            raise KeyboardInterrupt
+        contents.append(data)
+        return write(self, data)
+
+    def write_text(self: Path, text: str, encoding: str | None = None) -> int:
+        return self.write_bytes(text.encode(encoding or "utf-8"))
+
+    monkeypatch.setattr(Path, "write_bytes", write_bytes)
+    monkeypatch.setattr(Path, "write_text", write_text)
+    assert congelation(*words).returncode == 130
+    left = [file for file in tmp_path.rglob("*") if file.is_file()]
+    assert all(file.read_bytes() in contents for file in left)
+    assert len(left) == (1 if words[0] == "new" else len(contents))
 
 
 def test_info_as_json(congelation):
@@ -255,6 +342,35 @@ def test_certify_as_json(congelation):
     found = {design["design"]: design["verdict"] for design in json.loads(done.stdout)}
     assert found == {"Controller 1": "HOLDS", "Controller 2": "VIOLATED"}
     assert done.returncode == 3
+
+
+def test_certify_takes_several_files(congelation, tmp_path):
+    """A line for each design; the exit code is the highest of those of the files."""
+    good, block, bad = "specs/scalar.toml", "specs/noise.toml", "specs/none.toml"
+    short = changed(tmp_path, "scalar", "delta = 1}", "delta = 0.5}")
+    frozen = changed(tmp_path, "scalar", "gamma = 1,", "adapt = false,", name="frozen")
+    few = ("--samples", "20")
+    done = congelation("certify", good, block, *few)
+    assert done.returncode == 0
+    assert re.fullmatch(
+        r"specs/scalar.toml: Scalar example: holds \(worst margin \S+, relative margin \S+, "
+        r"delta 1, radius of theta 1\)\n",
+        done.stdout,
+    )
+    assert done.stderr.startswith("congelation: specs/noise.toml: this is the spec of a block")
+    for files, code in (((good, frozen), 1), ((frozen, bad, good), 2), ((bad, short, frozen), 3)):
+        done = congelation("certify", *files, *few)
+        assert done.returncode == code
+        assert len(done.stdout.splitlines()) == len([file for file in files if file is not bad])
+    assert f"congelation: {short}: Scalar example: an assumption of the theorem" in done.stderr
+    done = congelation("certify", good, bad, "--json", *few)
+    assert done.returncode == 2
+    first, second = json.loads(done.stdout)
+    assert (first["file"], first["error"]) == (good, None)
+    assert [design["verdict"] for design in first["designs"]] == ["HOLDS"]
+    assert (second["designs"], second["error"]) == ([], done.stderr.strip().partition(": ")[2])
+    done = congelation("certify", good, short, "--html", tmp_path / "page.html")
+    assert (done.returncode, "--html is the page of one file" in done.stderr) == (2, True)
 
 
 def test_examples_and_new_say_what_they_wrote(congelation, tmp_path, monkeypatch):

@@ -139,7 +139,7 @@ def test_without_a_varying_profile_the_ball_is_admissible(tmp_path: Path) -> Non
         ),
     )
     problem = problem_of(load_scenario(file), "Controller 1")
-    assert not problem.admissible.is_box
+    assert problem.admissible.ball is not None
     radii = np.linalg.norm(problem.admissible.extremes - [-3.0, 2.0], axis=1)
     assert radii == pytest.approx(np.sqrt(2.0))
 

@@ -353,3 +353,16 @@ def test_a_number_of_a_term_that_the_profile_lacks_is_named(tmp_path: Path, sour
         f"{file}: {source}: 'plant.profile[1].sine[1].omega' has no effect, as the profile has no "
         "such term: 'plant.profile[1].sine[1].amplitude' is 0"
     )
+
+
+def test_a_term_that_the_fmu_has_by_default_is_no_doubt(tmp_path: Path) -> None:
+    """The spec of StrictFeedbackPlant has a sine of amplitude 0.6 in theta_1."""
+    axis = "[[sweep.axes]]\nset = 'plant.profile[1].sine[1].omega'\nvalues = [0.1, 3.0]\n"
+    file = tmp_path / "default.toml"
+    file.write_text(
+        'title = "t"\nconnections = ["plant.x -> controller.x", "controller.u -> plant.u"]\n'
+        f'[components.plant]\nfmu = "{FMUS / "StrictFeedbackPlant.fmu"}"\n'
+        f'[components.controller]\nfmu = "{FMUS / "StateFeedbackController.fmu"}"\n'
+        "[experiment]\nstop_time = 1.0\nstep = 0.1\n" + axis
+    )
+    assert load_scenario(file).warnings == ()

@@ -118,8 +118,8 @@ def test_under_leakage_the_claimed_rate_is_at_least_the_decay_times_V(options):
     for _ in range(300):
         ell = certificate.sample_ell(rng)
         margin = certificate.at(certificate._drawn(certificate.coordinates.draw(rng), ell), ell)
-        ratios.append(margin.claimed / (certificate.decay * margin.V))
-    assert certificate.decay > 0
+        ratios.append(margin.claimed / (certificate.terms.decay * margin.V))
+    assert certificate.terms.decay > 0
     assert min(ratios) >= 1 - 1e-9
     assert min(ratios) < 1.1  # and the decay is not far below what it may be
 
@@ -575,8 +575,8 @@ def test_under_leakage_output_feedback_falls_at_the_decay(options):
     for _ in range(300):
         ell = certificate.sample_ell(rng)
         margin = certificate.at(certificate._drawn(certificate.coordinates.draw(rng), ell), ell)
-        ratios.append(margin.claimed / (certificate.decay * margin.V))
-    assert certificate.decay > 0
+        ratios.append(margin.claimed / (certificate.terms.decay * margin.V))
+    assert certificate.terms.decay > 0
     assert min(ratios) >= 1 - 1e-9
     assert min(ratios) < 1.1
     assert not certificate.search(150, ascents=2).violated

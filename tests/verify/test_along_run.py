@@ -11,7 +11,7 @@ from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
 from congelation.sweep.engine import run as run_study
 from congelation.sweep.plan import plan_study
-from congelation.verify.along_run import MOST_ROWS, along, center
+from congelation.verify.along_run import MOST_ROWS, along
 from congelation.verify.reference import reference
 from tests.scenarios import SCALAR, write
 
@@ -47,7 +47,7 @@ def test_the_numbers_are_those_of_equation_5(tmp_path: Path) -> None:
     found = along(case, run.time, run.columns, run.values)
     x, theta_hat = run.select(["plant.x", "controller.theta_hat[1]"]).T
     ell = -3.0
-    assert center(reference(case)).tolist() == [ell]
+    assert reference(case).center.tolist() == [ell]
     assert np.array_equal(found.time, run.time)
     np.testing.assert_allclose(found.V, x**2 / 2 + (ell - theta_hat) ** 2 / 2, rtol=1e-12)
     assert np.all(np.diff(found.V) <= 0.0)

@@ -10,7 +10,7 @@ import pytest
 from congelation.errors import InvalidInput
 from congelation.export.spec import read_spec
 from congelation.export.spec_assumptions import spec_warnings
-from congelation.verify.certify import Verdict, assumptions, certify_design, designs_of
+from congelation.verify.certify import Verdict, certify_design, designs_of
 
 ROOT = Path(__file__).resolve().parents[2]
 WITHOUT = ("[block]", 'law = "filtered-transformation"')
@@ -89,7 +89,7 @@ def test_shipped_specs_hold(file):
     found = certify_design(design, samples=100)
     assert found.verdict is Verdict.HOLDS, found.reasons
     assert found.reasons == found.warnings == ()
-    assert assumptions(design) == ()
+    assert design.remarks == ()
     assert found.finding.resolved > 50
 
 

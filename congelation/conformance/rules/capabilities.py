@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
 
 from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
 from congelation.conformance.description import Value, Variable
-from congelation.conformance.probe import read
+from congelation.conformance.probe import QUOTIENT_STEP, is_derivative, read
 from congelation.conformance.rule import Level, NotApplicable, dynamic, require
 from congelation.conformance.trajectory import demand, excitation, excite, inputs, same
 
 __all__: list[str] = []
 
-# Difference quotients over such a step are good to a few digits; the bound below only has to
-# tell a derivative from something else.
-_QUOTIENT_STEP = 1e-5
-_QUOTIENT_ERROR = 1e-2
-
+# How far a slope may be from the difference quotients about it, as a part of their distance.
+_SLOPE_ERROR = 1e-2
 
 _STATE = ("fmi2GetFMUstate", "fmi2SetFMUstate", "fmi2FreeFMUstate")
 _BYTES = ("fmi2SerializedFMUstateSize", "fmi2SerializeFMUstate", "fmi2DeSerializeFMUstate")
@@ -127,7 +123,7 @@ def output_derivatives(bench: Bench) -> Iterator[str]:
     references = [v.reference for v in found]
     variable = bench.description.flag("canHandleVariableCommunicationStepSize")
     time, step = bench.grid.start, bench.grid.step
-    size = _QUOTIENT_STEP if variable else step
+    size = QUOTIENT_STEP if variable else step
     with bench.held() as instance:
         begin = read(instance, tuple(found))
         excite(instance, bench.description, 0)
@@ -146,13 +142,9 @@ def output_derivatives(bench: Bench) -> Iterator[str]:
         # The order of the FMU's approximation is its own affair: 0, or what lies about the
         # difference quotients of the step before and the step after.
         low, high = min(0.0, past, next_), max(0.0, past, next_)
-        slack = high - low + _QUOTIENT_ERROR * (1.0 + high - low)
+        slack = high - low + _SLOPE_ERROR * (1.0 + high - low)
         if not low - slack <= slope <= high + slack:
             yield f"the derivative of {v.name} is {slope!r}, its slope {next_!r}"
-
-
-def _close(value: float, quotient: float) -> bool:
-    return math.isfinite(value) and abs(value - quotient) <= _QUOTIENT_ERROR * (1.0 + abs(quotient))
 
 
 @dynamic("FMI2-FLAG-05", "2.1.9, 4.3.1", Level.VIOLATION)
@@ -183,14 +175,14 @@ def directional_derivative(bench: Bench) -> Iterator[str]:
             [v.reference for v in unknowns], [known.reference], [1.0]
         )
         demand(status, f"fmi2GetDirectionalDerivative with respect to {known.name}")
-        moved: Value = float(excitation(known, 0)) + _QUOTIENT_STEP
+        moved: Value = float(excitation(known, 0)) + QUOTIENT_STEP
         excite(instance, description, 0, instead={known.index: moved})
         other = read(instance, tuple(unknowns))
         for v, derivative in zip(unknowns, found, strict=True):
             before, after = float(base[v.index]), float(other[v.index])
             # What stays infinite, such as the time of an event that never comes, does not change.
-            quotient = 0.0 if same(before, after) else (after - before) / _QUOTIENT_STEP
-            if not _close(derivative, quotient):
+            quotient = 0.0 if same(before, after) else (after - before) / QUOTIENT_STEP
+            if not is_derivative(derivative, quotient):
                 yield f"d {v.name} / d {known.name} is {derivative!r}, measured {quotient!r}"
     instance.free()
 

@@ -9,7 +9,7 @@ import ctypes
 import locale
 import os
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from urllib.parse import quote
@@ -124,8 +124,16 @@ def free_anywhere(bench: Bench) -> Iterator[str]:
     yield from bench.compare(bench.alone(), "after freeing in every state")
 
 
-def _interleaved(bench: Bench, instances: list[tuple[Bench, Instance, float]]) -> list[Trajectory]:
-    """Step several instances in turn; each with the inputs of its own phase."""
+def _interleaved(
+    bench: Bench,
+    instances: list[tuple[Bench, Instance, float]],
+    alone: list[Trajectory],
+    labels: Iterable[str],
+) -> Iterator[str]:
+    """Step several instances in turn, each with the inputs of its own phase, and free them.
+
+    A line for each that does something else than alone.
+    """
     rows = [[observe(i, b.description)] for b, i, _ in instances]
     for point in range(bench.grid.steps):
         for b, instance, phase in instances:
@@ -134,23 +142,22 @@ def _interleaved(bench: Bench, instances: list[tuple[Bench, Instance, float]]) -
             time = b.grid.time(point)
             demand(instance.step(time, b.grid.time(point + 1) - time), "fmi2DoStep")
             column.append(observe(instance, b.description))
-    return [Trajectory((), tuple(column)) for column in rows]
+    for label, column, expected in zip(labels, rows, alone, strict=True):
+        difference = first_difference(Trajectory(expected.names, tuple(column)), expected)
+        if difference is not None:
+            yield f"{label}: {difference}"
+    for _, instance, _ in instances:
+        instance.free()
 
 
-def _repeatable(bench: Bench) -> None:
-    if not bench.job.able.repeats:
-        raise NotEvaluated("two equal runs differ, see FMI2-STEP-07")
-
-
-def _named(found: Trajectory, model: Trajectory) -> Trajectory:
-    return Trajectory(model.names, found.rows)
-
-
-def _only_one(bench: Bench) -> None:
+def _require_several(bench: Bench) -> None:
+    """Raise where there can be no second instance, or runs cannot be compared."""
     if bench.alone_only:
         if not bench.description.flag("canBeInstantiatedOnlyOncePerProcess"):
             raise NotEvaluated(bench.job.able.beside)
         raise NotApplicable("canBeInstantiatedOnlyOncePerProcess is true")
+    if not bench.job.able.repeats:
+        raise NotEvaluated("two equal runs differ, see FMI2-STEP-07")
 
 
 @dynamic("FMI2-INST-05", "2.1.5, 4.3.1", Level.VIOLATION)
@@ -166,17 +173,12 @@ def interleaved(bench: Bench) -> Iterator[str]:
 
     Example: static double x;
     """
-    _only_one(bench)
+    _require_several(bench)
     phases = (0.0, 1.0, 2.0)
-    _repeatable(bench)
-    expected = [bench.alone(phase) for phase in phases]
+    alone = [bench.alone(phase) for phase in phases]
     together = [(bench, bench.ready(f"number {p:g}", phase=p), p) for p in phases]
-    for phase, found, model in zip(phases, _interleaved(bench, together), expected, strict=True):
-        difference = first_difference(_named(found, model), model)
-        if difference is not None:
-            yield f"instance {phase:g} of {len(phases)} together: {difference}"
-    for _, instance, _ in together:
-        instance.free()
+    labels = (f"instance {phase:g} of {len(phases)} together" for phase in phases)
+    yield from _interleaved(bench, together, alone, labels)
 
 
 @dynamic("FMI2-INST-06", "2.1", Level.ROBUSTNESS)
@@ -192,22 +194,16 @@ def two_models(bench: Bench) -> Iterator[str]:
 
     Example: Two FMUs that share an environment variable.
     """
-    _only_one(bench)
-    _repeatable(bench)
+    _require_several(bench)
     scratch = Path(bench.job.scratch) / "companion"
     scratch.mkdir()
     able = replace(bench.job.able, reference="")
     other = Bench(Job(bench.job.companion, bench.job.directory, str(scratch), able=able))
     benches = (bench, other)
-    expected = [from_text(bench.elsewhere("alone", directory=b.directory)) for b in benches]
+    alone = [from_text(bench.elsewhere("alone", directory=b.directory)) for b in benches]
     together = [(b, b.ready(name), 0.0) for b, name in zip(benches, ("one", "other"), strict=True)]
-    for b, found, model in zip(benches, _interleaved(bench, together), expected, strict=True):
-        difference = first_difference(_named(found, model), model)
-        if difference is not None:
-            label = b.description.model_name
-            yield f"{label} together with the other FMU: {difference}"
-    for _, instance, _ in together:
-        instance.free()
+    labels = (f"{b.description.model_name} together with the other FMU" for b in benches)
+    yield from _interleaved(bench, together, alone, labels)
 
 
 def _surroundings() -> dict[str, object]:

@@ -19,7 +19,7 @@ from congelation.conformance.model_exchange import (
     require_states,
     without_slopes,
 )
-from congelation.conformance.probe import read
+from congelation.conformance.probe import QUOTIENT_STEP, is_derivative, read
 from congelation.conformance.rule import Level, NotEvaluated, dynamic
 from congelation.conformance.rules.fmu_states import restore, save
 from congelation.conformance.trajectory import demand, excite, same
@@ -28,10 +28,6 @@ __all__: list[str] = []
 
 # Time events that are visited one after another.
 _EVENTS = 4
-# Difference quotients over such a step are good to a few digits, and co-simulation has an error of
-# its own: the bound only has to tell a derivative from something else.
-_QUOTIENT_STEP = 1e-5
-_QUOTIENT_ERROR = 1e-2
 # Steps of the Runge-Kutta method in a communication step; half as many tell its error.
 _SUBSTEPS = 16
 # The largest share of the way of a state by which both kinds may differ.
@@ -313,14 +309,14 @@ def derivatives_are_slopes(bench: Bench) -> Iterator[str]:
         model.x = begin
         slopes = model.rates
         excite(slave, description, 0)
-        demand(slave.step(time, _QUOTIENT_STEP), "fmi2DoStep")
+        demand(slave.step(time, QUOTIENT_STEP), "fmi2DoStep")
         end = [float(value) for value in read(slave, states).values()]
         for (_, v), x, y, slope in zip(description.state_vector, begin, end, slopes, strict=True):
-            quotient = (y - x) / _QUOTIENT_STEP
-            if not abs(slope - quotient) <= _QUOTIENT_ERROR * (1.0 + abs(quotient)):
+            quotient = (y - x) / QUOTIENT_STEP
+            if not is_derivative(slope, quotient):
                 yield f"{v.name} is {slope!r} at t = {time:.9g}; measured: {quotient!r}"
         # Once more after a step, where the states have left their start values.
-        time += _QUOTIENT_STEP
+        time += QUOTIENT_STEP
         demand(slave.step(time, bench.grid.step), "fmi2DoStep")
         time += bench.grid.step
     for each in (model.instance, slave):
@@ -389,14 +385,14 @@ def jacobian(bench: Bench) -> Iterator[str]:
         return model.rates
 
     for i, (state, _) in enumerate(vector):
-        step = _QUOTIENT_STEP * (1.0 + abs(x[i]))
+        step = QUOTIENT_STEP * (1.0 + abs(x[i]))
         high, low = (rates([*x[:i], x[i] + d, *x[i + 1 :]]) for d in (step, -step))
         model.x = x
         status, found = model.instance.directional_derivative(unknowns, [state.reference], [1.0])
         demand(status, f"fmi2GetDirectionalDerivative with respect to {state.name}")
         for (_, v), a, b, value in zip(vector, high, low, found, strict=True):
             quotient = (a - b) / (2 * step)
-            if not abs(value - quotient) <= _QUOTIENT_ERROR * (1.0 + abs(quotient)):
+            if not is_derivative(value, quotient):
                 yield f"d {v.name} / d {state.name} is {value!r}, measured {quotient!r}"
     model.instance.free()
 

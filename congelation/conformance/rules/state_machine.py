@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from ctypes import byref, c_double, c_int
+from functools import partial
 
 from congelation.conformance.bench import Bench
 from congelation.conformance.binding import Status
@@ -380,19 +381,14 @@ def _past_stop(bench: Bench, instance: Instance) -> Status:
     return instance.step(grid.time(2), grid.step)
 
 
-def _other_size(bench: Bench, instance: Instance) -> Status:
+def _sized(factor: float, bench: Bench, instance: Instance) -> Status:
     bench.run(bench.initialize(instance), last=2)
-    return instance.step(bench.grid.time(2), 1.7 * bench.grid.step)
-
-
-def _large(bench: Bench, instance: Instance) -> Status:
-    bench.run(bench.initialize(instance), last=2)
-    return instance.step(bench.grid.time(2), _LARGE * bench.grid.step)
+    return instance.step(bench.grid.time(2), factor * bench.grid.step)
 
 
 # Steps that an FMU may discard or fail, although the calls are correct.
 _FAILURES: Mapping[str, _Call] = {
     "a step past stopTime": _past_stop,
-    "a step of another size": _other_size,
-    "a large step": _large,
+    "a step of another size": partial(_sized, 1.7),
+    "a large step": partial(_sized, _LARGE),
 }

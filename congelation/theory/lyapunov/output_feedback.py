@@ -12,14 +12,13 @@ from numpy.typing import NDArray
 
 from congelation.errors import InvalidInput
 from congelation.theory.adaptation import claim_of
-from congelation.theory.certificate import Certificate, Coordinates, PerturbationSet
+from congelation.theory.certificate import Certificate, Coordinates, PerturbationSet, Terms
 from congelation.theory.closed_loop import ClosedLoop
 from congelation.theory.gains import filter_norm, filter_riccati
 from congelation.theory.iss_riccati import iss_riccati, iss_weight
 from congelation.theory.kfilter import KFilter
 from congelation.theory.lyapunov.samplers import with_inverse_of, with_radius_of
 from congelation.theory.lyapunov.terms import (
-    Terms,
     estimate_terms,
     free_ell,
     inverse,
@@ -59,18 +58,18 @@ def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
     extreme = n == 1 and known and free_ell(loop) and not loop.external
     split = _split(loop, g, delta if known else constants[-1], law.sigma > 0 and not extreme)
     rate[0] -= split.spent
-    weight, fall, offset = split.weight, math.inf, tuple[float, ...]()
+    weight, decay, offset = split.weight, math.inf, tuple[float, ...]()
     if extreme:
         weight, offset = 0.0, (0.0, min(delta, delta_1))
     else:
-        fall = split.decay / (weight * float(np.linalg.norm(P, 2)))
+        decay = split.decay / (weight * float(np.linalg.norm(P, 2)))
     xi, Omega_T = _filter_signals(loop, m)
     x_tilde = state_of(loop, "x") - xi - Omega_T @ b_and_a  # (39)-(40)
     terms = Terms(
         ca.sumsqr(z) / 2 + weight * quadratic(P, x_tilde),
         ca.sum1(ca.DM(rate) * z**2) + split.decay * ca.sumsqr(x_tilde),
         split.residue,
-        min(2 * float(rate.min()), fall),
+        min(2 * float(rate.min()), decay),
     )
     terms += estimate_terms(law, b_and_a, state_of(loop, "theta_hat"), values["Gamma"])
     terms += estimate_terms(
@@ -85,9 +84,7 @@ def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
     return Certificate(
         loop,
         constants,
-        terms.V,
-        terms.claimed,
-        terms.residue,
+        terms,
         PerturbationSet(
             delta,
             (False,) * (m + 1) + (True,) * n,
@@ -98,7 +95,6 @@ def output_feedback_certificate(loop: ClosedLoop) -> Certificate:
         ),
         sample,
         _coordinates(loop, b_and_a, xi, Omega_T, None if known else split.needed),
-        decay=terms.fall,
     )
 
 

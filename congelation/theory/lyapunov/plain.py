@@ -6,11 +6,10 @@ import casadi as ca
 import numpy as np
 
 from congelation.theory.adaptation import claim_of
-from congelation.theory.certificate import Certificate, Coordinates, PerturbationSet
+from congelation.theory.certificate import Certificate, Coordinates, PerturbationSet, Terms
 from congelation.theory.closed_loop import ClosedLoop
 from congelation.theory.lyapunov.samplers import within
 from congelation.theory.lyapunov.terms import (
-    Terms,
     ball,
     estimate_terms,
     inverse,
@@ -64,11 +63,8 @@ def _of_x(
     return Certificate(
         loop,
         ell,
-        terms.V,
-        terms.claimed,
-        terms.residue,
+        terms,
         perturbations,
         within(law),
         Coordinates(ca.vertcat(drawn, error), X, (drawn.numel(), error.numel())),
-        decay=terms.fall,
     )

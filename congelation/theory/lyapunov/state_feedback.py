@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from congelation.theory.adaptation import claim_of
-from congelation.theory.certificate import Certificate, Coordinates, PerturbationSet
+from congelation.theory.certificate import Certificate, Coordinates, PerturbationSet, Terms
 from congelation.theory.closed_loop import ClosedLoop
 from congelation.theory.lyapunov.samplers import (
     Sampler,
@@ -17,7 +17,7 @@ from congelation.theory.lyapunov.samplers import (
     with_radius_of,
     within,
 )
-from congelation.theory.lyapunov.terms import Terms, ball, estimate_terms, stacked, state_of
+from congelation.theory.lyapunov.terms import ball, estimate_terms, stacked, state_of
 
 __all__ = ["state_feedback_certificate"]
 
@@ -80,9 +80,7 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
     return Certificate(
         loop,
         ell,
-        terms.V,
-        terms.claimed,
-        terms.residue,
+        terms,
         perturbations,
         sample,
         Coordinates(
@@ -91,7 +89,6 @@ def state_feedback_certificate(loop: ClosedLoop) -> Certificate:
             tuple(symbol.numel() for symbol in drawn.values()),
         ),
         nominal,
-        terms.fall,
     )
 
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from congelation.theory.adaptation import Claim, claim_of
-from congelation.theory.certificate import PerturbationSet
+from congelation.theory.certificate import PerturbationSet, Terms
 from congelation.theory.closed_loop import ClosedLoop
 
 __all__ = [
-    "Terms",
     "ball",
     "estimate_terms",
     "free_ell",
@@ -25,31 +23,6 @@ __all__ = [
 ]
 
 Matrix = NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Terms:
-    """Summands of a Lyapunov function and of its claim V' <= -claimed + residue.
-
-    Attributes
-    ----------
-    V, claimed, residue : casadi.SX, (1, 1)
-    fall : float
-        The claimed rate is at least this number times V; 0 where it is not.
-    """
-
-    V: ca.SX
-    claimed: ca.SX
-    residue: ca.SX
-    fall: float
-
-    def __add__(self, other: Terms) -> Terms:
-        return Terms(
-            self.V + other.V,
-            self.claimed + other.claimed,
-            self.residue + other.residue,
-            min(self.fall, other.fall),
-        )
 
 
 def estimate_terms(
