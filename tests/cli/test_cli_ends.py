@@ -26,7 +26,7 @@ from congelation.cli import main
 from congelation.results.results import open_results
 from congelation.sweep.local import Local
 from tests.cosim.c_fmus import SOURCES, plain_fmu
-from tests.scenarios import FMUS, ROOT, SCALAR, write
+from tests.scenarios import FMUS, ROOT, SCALAR, UNDRAWN, write
 from tests.studies import COMMAND, children, environment, process, rows, start
 from tests.studies import command as congelation
 from tests.studies import last_line as one_line
@@ -107,7 +107,7 @@ def test_what_prints_ends_quietly_where_nobody_reads(
 
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
 def test_a_title_that_the_terminal_cannot_show_is_escaped(tmp_path: Path, encoding: str) -> None:
-    file = write(tmp_path, SCALAR, ("A short loop", "Fast \u03b8(t)"))
+    file = write(tmp_path, SCALAR, UNDRAWN, ("A short loop", "Fast \u03b8(t)"))
     done = subprocess.run(
         [*COMMAND, "run", file, "--progress", "quiet"],
         capture_output=True,
@@ -131,7 +131,7 @@ def test_a_report_that_cannot_be_written_is_refused_before_the_check(
 
 
 def test_run_takes_times_and_coupling_from_its_options(tmp_path: Path) -> None:
-    file = write(tmp_path)
+    file = write(tmp_path, SCALAR, UNDRAWN)
     out = tmp_path / "out"
     done = congelation(
         "run", file, "--out", out, "--stop-time", "0.5", "--tolerance", "1e-4",
@@ -153,7 +153,8 @@ def test_run_takes_times_and_coupling_from_its_options(tmp_path: Path) -> None:
 
 def test_what_options_replaced_is_told_apart_wherever_runs_are_listed(tmp_path: Path) -> None:
     """Runs with and without options in one folder, and in two that are compared."""
-    file, out, other = write(tmp_path), tmp_path / "out", tmp_path / "other"
+    file = write(tmp_path, SCALAR, UNDRAWN)
+    out, other = tmp_path / "out", tmp_path / "other"
     for folder, options in (
         (out, ()),
         (out, ("--tolerance", 1e-3, "--coupling", "hermite")),
@@ -227,7 +228,8 @@ def test_the_most_frequent_causes_end_a_study_with_failures(tmp_path: Path) -> N
 
 def test_an_archive_without_a_stop_time_runs_with_one(tmp_path: Path) -> None:
     file = tmp_path / "loop.ssp"
-    assert congelation("export-ssp", write(tmp_path), file).returncode == 0
+    scenario = write(tmp_path, SCALAR, UNDRAWN)
+    assert congelation("export-ssp", scenario, file).returncode == 0
     with zipfile.ZipFile(file) as archive:
         entries = {name: archive.read(name) for name in archive.namelist()}
     text = entries["SystemStructure.ssd"].decode()
