@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
@@ -33,7 +32,6 @@ from congelation.scenario.scenario import Experiment, MetricSpec, Scenario
 
 __all__ = ["attack_fmus"]
 
-Floats = NDArray[np.float64]
 
 RUNS = 300
 """Runs of one search at effort 1."""
