@@ -99,9 +99,11 @@ def attack_fmus(
             continue
         for name in objectives:
             with SlavePool() as pool, tempfile.TemporaryDirectory() as folder:
-                rig = _Rig(scenario, variant.name, varied, specs[name], source, pool, Path(folder))
-                found = rig.search(int(RUNS * effort), seed, progress)
-            notes += rig.notes
+                by_runs = _SearchByRuns(
+                    scenario, variant.name, varied, specs[name], source, pool, Path(folder)
+                )
+                found = by_runs.search(int(RUNS * effort), seed, progress)
+            notes += by_runs.notes
             if isinstance(found, Find):
                 finds.append(found)
             else:
@@ -109,7 +111,7 @@ def attack_fmus(
     return Attack(scenario, tuple(finds), tuple(missed), tuple(varied), source, tuple(notes))
 
 
-class _Rig:
+class _SearchByRuns:
     """One variant and metric, and the runs of a search."""
 
     def __init__(
