@@ -12,8 +12,6 @@ import zipfile
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import fmpy
-
 from congelation.cosim.system import Component, System
 from congelation.errors import InvalidInput
 from congelation.export.forms import BLOCKS, fit, models_of
@@ -138,11 +136,13 @@ def driven_by(
 
 def start_values_of(component: Component) -> dict[str, Scalar]:
     """The value of every variable of an FMU that starts with one: given, or else its own."""
-    description = fmpy.read_model_description(str(component.fmu), validate=False)
+    description = describe(component.fmu)
     own = {
-        v.name: _typed(v.type, v.start) for v in description.modelVariables if v.start is not None
+        v.name: _typed(v.type, v.default)
+        for v in description.variables.values()
+        if v.default or v.type == "String"
     }
-    start = resolve_start(describe(component.fmu), component.start, f"component '{component.name}'")
+    start = resolve_start(description, component.start, f"component '{component.name}'")
     return {**own, **{item.variable.name: item.value for item in start}}
 
 
