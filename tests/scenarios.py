@@ -8,6 +8,11 @@ ROOT = Path(__file__).parents[1]
 FMUS = ROOT / "fmus"
 SHIPPED = tuple(sorted((ROOT / "scenarios").glob("*.toml")))
 
+FIGURE = """
+[[figures]]
+name = "loop"
+panels = ["plant.x", "controller.u"]
+"""
 SCALAR = f"""
 title = "A short loop"
 connections = ["plant.x -> controller.x", "controller.u -> plant.u"]
@@ -31,11 +36,7 @@ record = ["plant.x", "controller.theta_hat"]
 [metrics]
 peak_x = {{metric = "peak", of = "plant.x"}}
 settling_x = {{metric = "settling_time", of = "plant.x", below = 0.1}}
-
-[[figures]]
-name = "loop"
-panels = ["plant.x", "controller.u"]
-
+{FIGURE}
 [[variants]]
 name = "Controller 1"
 set = {{"controller.damping" = true}}
@@ -44,6 +45,9 @@ set = {{"controller.damping" = true}}
 name = "Controller 2"
 set = {{"controller.damping" = false}}
 """
+
+UNDRAWN = (FIGURE, "")
+"""Without its figure, which takes a second to draw: for runs that are about something else."""
 
 
 def write(folder: Path, text: str = SCALAR, *changes: tuple[str, str]) -> Path:

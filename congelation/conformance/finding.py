@@ -11,6 +11,7 @@ from typing import Any, Self
 
 from congelation.conformance.rule import Breach, DynamicRule, Level, Outcome, Rule
 from congelation.conformance.rules import RULES
+from congelation.errors import counted
 
 __all__ = ["Finding", "FmuReport", "Report", "Verdict", "merged", "verdict_of"]
 
@@ -159,8 +160,10 @@ class Report:
     def __repr__(self) -> str:
         """The counts, and the first findings: the verdicts on all rules would fill pages."""
         counts = Counter(v.outcome.value for fmu in self.fmus for v in fmu.verdicts)
-        fmus = "1 FMU" if len(self.fmus) == 1 else f"{len(self.fmus)} FMUs"
-        lines = [f"{fmus}: " + ", ".join(f"{n} {outcome}" for outcome, n in counts.items())]
+        lines = [
+            f"{counted(len(self.fmus), 'FMU')}: "
+            + ", ".join(f"{n} {outcome}" for outcome, n in counts.items())
+        ]
         lines += [f"  {finding}" for finding in self.findings[:SHOWN]]
         more = len(self.findings) - SHOWN
         return "\n".join([*lines, f"  and {more} more"] if more > 0 else lines)

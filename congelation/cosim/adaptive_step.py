@@ -15,10 +15,19 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.coupling import AdaptiveStepper, Trial
+from congelation.cosim.delayed_jumps import JUMPED, jump_ahead, jumped
 from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session
-from congelation.cosim.step_size import SMALLEST_ERROR, Halving, Pace, StepSize, halved, is_floor
+from congelation.cosim.step_size import (
+    SMALLEST_ERROR,
+    Halving,
+    Pace,
+    StepSize,
+    compared,
+    halved,
+    is_floor,
+)
 from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
 __all__ = ["Outcome", "Rules", "RunState", "Tried", "fitting_step", "outcome_of", "resized", "take"]
@@ -35,9 +44,6 @@ over jumps that no FMU announces. First steps are no shorter unless one is given
 KEPT_SHARE = 1e-2
 """The same as a part of the horizon and of the tolerance: to find a jump more closely costs steps,
 and makes the run no more accurate than the tolerance has the time of the jump."""
-
-JUMPED = 10.0
-"""Error, in tolerances, beyond which the values before a kept step say nothing of those to come."""
 
 LATE = 3
 """Steps that keep their length from a jump on that no FMU announces, where steps cannot be taken
@@ -57,9 +63,16 @@ LONGEST_AT_REST = 2e-2
 """The same after a step without an error, where an FMU does not announce when its outputs jump:
 nothing has moved, so steps would grow, and not see what begins and ends within one."""
 
+DELAYED = 10.0
+"""A jump right at the start of a step comes from what happened in the one before, and was delayed
+by it, where that one is more than so many times as long."""
+
+AT_ONCE = 1e-2
+"""And it is right at the start where so much of the shortest step has it."""
+
 MOST_IN_A_ROW = 8
-"""Located changes of discrete values in so many steps, one right after the other, from which on
-they are not located: such a value does not stay constant between events."""
+"""Located changes in so many steps, one right after the other, from which on they are not located:
+such a value does not stay constant between events."""
 
 SMALLEST_STEP = 16.0
 """Smallest step, in units in the last place of the time: time does not resolve a shorter one."""
@@ -125,6 +138,11 @@ class Rules:
         return share * self.horizon
 
     @property
+    def delays(self) -> bool:
+        """Whether steps may be accepted that have delayed a jump."""
+        return self.takes_back and not self.announced and (self.keeps or self.halves)
+
+    @property
     def longest_at_rest(self) -> float:
         """Longest step, in seconds, after one without an error."""
         return math.inf if self.announced else LONGEST_AT_REST * self.horizon
@@ -146,9 +164,13 @@ class RunState:
     sent : list
         What discrete connections carry.
     streak : int
-        Steps up to now, one right after the other, in which a discrete value changed.
+        Steps up to now, one right after the other, in which a discrete value changed, or a jump
+        was seen to follow.
     late : int
         Steps that have kept their length because of a jump that no FMU announced.
+    looks_ahead : bool
+        Whether steps are to end before jumps that FMUs make when their next step begins, as one of
+        them has come too late.
     """
 
     coupling: Any
@@ -160,6 +182,7 @@ class RunState:
     sent: list[float | int | bool | str]
     streak: int = 0
     late: int = 0
+    looks_ahead: bool = False
 
 
 class Tried(NamedTuple):
@@ -182,7 +205,10 @@ class Tried(NamedTuple):
     predicted, lag : float
         Error of the inputs as they were predicted, in tolerances, and lag of the step, see `Pace`.
     switched : bool
-        Whether a discrete value changed somewhere in the step, and is to be located.
+        Whether a discrete value changed somewhere in the step, or a jump follows from it, and is to
+        be located.
+    delayed : float
+        Relative size of a jump that comes from the step before, and that this one has delayed.
     """
 
     end: float
@@ -195,6 +221,7 @@ class Tried(NamedTuple):
     predicted: float = 0.0
     lag: float = 0.0
     switched: bool = False
+    delayed: float = 0.0
 
     def exceeds(self, tolerance: float) -> bool:
         """Whether the step was made, with an error of the connections above this."""
@@ -209,7 +236,7 @@ class Outcome(Enum):
     LATE = "It is kept with a jump in it; a few more of its length make up for the delay."
     FLOOR = "It is kept: its error comes from the FMUs, as a longer step had hardly more of it."
     SHORTEN = "It is taken back: its error is too large, or it could not be made."
-    BISECT = "It is taken back: a discrete value changed somewhere in it."
+    BISECT = "It is taken back: a discrete value changed somewhere in it, or a jump is due."
 
     @property
     def is_taken_back(self) -> bool:
@@ -308,8 +335,12 @@ def fitting_step(
     if rules.takes_back:
         ensemble.save()
     before = ensemble.Y[ensemble.source]
+    delayed = None
     while True:
-        tried = _tried(session, rules, run, target, before)
+        if delayed is None and _is_due(session, rules, run):
+            at_once = rules.shortest * AT_ONCE
+            delayed = jump_ahead(session, run.coupling, run.time, at_once, rules.tolerance)
+        tried = _tried(session, rules, run, target, before)._replace(delayed=delayed or 0.0)
         if tried.fits:
             refused = None
         outcome = outcome_of(tried, rules, run.late, refused)
@@ -317,9 +348,22 @@ def fitting_step(
         if not outcome.is_taken_back:
             return tried, outcome
         if outcome is Outcome.SHORTEN and rules.halves and tried.exceeds(rules.tolerance):
-            refused = tried.length, tried.found
+            refused = compared(refused, tried.length, tried.found)
         ensemble.restore()
         session.rejected += 1
+
+
+def _is_due(session: Session, rules: Rules, run: RunState) -> bool:
+    """Whether a jump in the step that is next may come from the one before it."""
+    stepper = session.stepper
+    assert isinstance(stepper, AdaptiveStepper)
+    times = stepper.points(run.coupling).times
+    return (
+        rules.delays
+        and run.size.rejected
+        and len(times) > 1
+        and times[-1] - times[-2] > DELAYED * max(run.size.length, rules.shortest)
+    )
 
 
 def _tried(session: Session, rules: Rules, run: RunState, target: float, before: Floats) -> Tried:
@@ -338,14 +382,20 @@ def _tried(session: Session, rules: Rules, run: RunState, target: float, before:
     fits = error <= 1.0
     if fits:
         error = max(error, session.unresolved(end))
+    found = run.halving.found
     switched = (
-        rules.switches
-        and rules.takes_back
+        rules.takes_back
         and run.streak < MOST_IN_A_ROW
         and length > rules.shortest
-        and ensemble.discrete_values() != run.sent
+        and (
+            (rules.switches and ensemble.discrete_values() != run.sent)
+            or (
+                run.looks_ahead
+                and error <= 1.0
+                and jump_ahead(session, trial.state, end, rules.shortest, rules.tolerance) > 0.0
+            )
+        )
     )
-    found = run.halving.found
     return Tried(end, length, trial, error, order, fits, found, predicted, lag, switched)
 
 
@@ -419,7 +469,11 @@ def take(
     settle_discrete(ensemble, end)
     values = ensemble.discrete_values() if rules.switches else []
     stated = run.halving.estimate if rules.halves else trial.error
-    session.largest_error = max(session.largest_error, stated)
+    session.largest_error = max(session.largest_error, stated, tried.delayed)
+    if tried.delayed:
+        run.looks_ahead = True
+        session.kept += outcome is Outcome.ACCEPTED
+    jumps = run.looks_ahead and jumped(session, run.coupling, tried.length, rules.tolerance)
     if rules.halves:
         run.halving = run.halving.accepted(ensemble.Y[ensemble.judged])
     if rules.predicts:
@@ -427,7 +481,7 @@ def take(
         run.pace = run.pace.followed(tried.predicted, tried.lag, run.time, tried.length, now)
     begin, run.time, run.coupling = run.time, end, state
     if values == run.sent:
-        run.streak = 0
+        run.streak = run.streak + 1 if jumps else 0
         if end < target or math.isinf(run.event):
             session.record(end)
         return

@@ -274,8 +274,8 @@ def _derivatives(
 
 def _misfit(description: Description, variable: Variable, most: int) -> str:
     """Which of the derivatives up to an order is in a wrong unit; empty if none is."""
-    told = (description.misfit(variable, order) for order in range(1, most + 1))
-    return next(filter(None, told), "")
+    misfits = (description.misfit(variable, order) for order in range(1, most + 1))
+    return next(filter(None, misfits), "")
 
 
 def _without_implied(links: Sequence[Link]) -> list[Link]:

@@ -61,12 +61,6 @@ class At(Sink):
             distance = np.abs(self._times[_nearest(self._times, block[:, 0])] - block[:, 0])
             self._kept.write(block[distance <= self._near])
 
-    def close(self) -> None:
-        """Nothing is left to do."""
-
-    def abandon(self) -> None:
-        """Nothing is left to do."""
-
     def times(self) -> Floats:
         """Of all rows, shape (N,)."""
         return self._kept.rows()[:, 0]

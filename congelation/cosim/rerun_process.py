@@ -74,10 +74,6 @@ class _Doubles(Sink):
         """Complete the file."""
         self._file.close()
 
-    def abandon(self) -> None:
-        """Leave what is there."""
-        self._file.close()
-
 
 class Ahead:
     """The run with halved steps in a process of its own, while the first one is under way.

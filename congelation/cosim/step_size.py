@@ -13,7 +13,16 @@ from congelation.cosim.coupling import AdaptiveStepper, Trial
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import settle_discrete
 
-__all__ = ["DECIDED", "SMALLEST_ERROR", "Halving", "Pace", "StepSize", "halved", "is_floor"]
+__all__ = [
+    "DECIDED",
+    "SMALLEST_ERROR",
+    "Halving",
+    "Pace",
+    "StepSize",
+    "compared",
+    "halved",
+    "is_floor",
+]
 
 Floats = npt.NDArray[np.float64]
 
@@ -49,6 +58,9 @@ input sees may be as rough as it likes."""
 
 FLOOR_EXPONENT = 0.25
 """An error that falls by less than this power of the step does not come from the step."""
+
+MOST_OF_REFUSED = 0.5
+"""A step that is compared with a longer one is no longer than this part of it."""
 
 
 @dataclass
@@ -189,13 +201,23 @@ def halved(
     return Trial(rest.state, *halving.judge(relative, len(ensemble.links), end - time, horizon))
 
 
+def compared(
+    refused: tuple[float, float] | None, length: float, error: float
+) -> tuple[float, float]:
+    """Length and error of the refused step with which shorter ones are compared, once another has
+    been refused: the longer one until the lengths differ enough."""
+    if refused is None or length <= MOST_OF_REFUSED * refused[0]:
+        return length, error
+    return refused
+
+
 def is_floor(refused: tuple[float, float], length: float, error: float, tolerance: float) -> bool:
     """Whether a shorter step than the one refused, (length, error), has hardly less of an error,
     and one that the run can bear."""
     ratio = length / refused[0]
     return (
         error <= PASSING_SHARE * tolerance
-        and ratio <= 0.5
+        and ratio <= MOST_OF_REFUSED
         and error > refused[1] * ratio**FLOOR_EXPONENT
     )
 

@@ -166,7 +166,7 @@ def run_adaptive(
     assert not isinstance(compiled, CompiledHeld)  # which takes no tolerance
     while run.time < session.stop:
         refused = None
-        if compiled is not None:
+        if compiled is not None and not run.looks_ahead:
             code, run.coupling, run.size, run.time, run.event = compiled.adaptive(
                 run.coupling, run.size, run.time, run.event, run.halving, session.most
             )

@@ -59,14 +59,6 @@ class Admissible:
             return self.center + np.where(gradient < 0.0, -self.half, self.half)
         return self.center + self.ball.worst(gradient)
 
-    def holds(self, theta: Floats) -> bool:
-        """Whether a theta is in the set, to rounding."""
-        Delta = theta - self.center
-        if self.ball is None:
-            return bool((np.abs(Delta) <= self.half * (1 + 1e-12) + 1e-300).all())
-        reach = self.ball.worst(Delta)
-        return bool(Delta @ Delta <= Delta @ reach * (1 + 1e-9) + 1e-300)
-
     @cached_property
     def extremes(self) -> Floats:
         """Corners of a box; of a ball the ends of its axes and diagonals. Shape (m, p)."""

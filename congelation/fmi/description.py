@@ -6,9 +6,8 @@ import hashlib
 import math
 import os
 import stat
-import zipfile
 from collections import Counter
-from collections.abc import Container, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -18,8 +17,8 @@ import fmpy
 from lxml import etree
 
 from congelation.errors import InvalidInput, nearest
+from congelation.fmi.document import check_references, read_document, schema_error
 from congelation.fmi.units import BASE, Unit, is_rate, unit_named
-from congelation.fmi.unpack import DAMAGED, check_archive, parse_xml, require_no_other_kind
 
 __all__ = [
     "ANNOTATION",
@@ -234,20 +233,9 @@ _DESCRIPTIONS: dict[tuple[str, int, int], Description] = {}
 
 
 def _read(path: Path) -> Description:
-    require_no_other_kind(path)
-    check_archive(path, "an FMU")
+    root = read_document(path)
     try:
-        with zipfile.ZipFile(path) as archive:
-            content = archive.read("modelDescription.xml")
-    except (*DAMAGED, KeyError) as error:
-        raise InvalidInput(f"{path} is not an FMU: {error}") from error
-    try:
-        root = parse_xml(content)
-    except ValueError as error:
-        raise InvalidInput(f"{path}: unreadable modelDescription.xml: {error}") from error
-    _require_fmi_2(path, root)
-    try:
-        _check_references(root)
+        check_references(root)
         with open(path, "rb") as stream:
             model = fmpy.read_model_description(stream, validate=False)
         return _described(path, root, model)
@@ -255,68 +243,8 @@ def _read(path: Path) -> Description:
         raise
     # fmpy raises bare Exception for whatever it cannot read; the schema says what and where it is.
     except Exception as error:
-        reason = _schema_error(root) or str(error)
+        reason = schema_error(root) or str(error)
         raise InvalidInput(f"{path}: unreadable modelDescription.xml: {reason}") from error
-
-
-def _require_fmi_2(path: Path, root: etree._Element) -> None:
-    """Refuse what FMPy reads as well, or stumbles over: other versions and other documents."""
-    if root.tag != "fmiModelDescription":
-        raise InvalidInput(
-            f"{path}: modelDescription.xml begins with '{root.tag}', not with 'fmiModelDescription'"
-        )
-    version = root.get("fmiVersion")
-    if version is None:
-        raise InvalidInput(f"{path}: modelDescription.xml states no fmiVersion; FMI 2.0 is needed")
-    if version.startswith("2.0."):
-        raise InvalidInput(f"{path}: fmiVersion = '{version}'; every FMU of FMI 2.0 states '2.0'")
-    if version != "2.0":
-        raise InvalidInput(f"{path}: an FMU of FMI {version}; one of FMI 2.0 is needed")
-    simulation = root.find("CoSimulation")
-    if simulation is None and root.find("ModelExchange") is None:
-        raise InvalidInput(f"{path}: it offers neither co-simulation nor model exchange")
-    if simulation is None:
-        raise InvalidInput(f"{path}: an FMU for model exchange alone; co-simulation is needed")
-    for element, attribute in ((root, "guid"), (simulation, "modelIdentifier")):
-        if not element.get(attribute):
-            raise InvalidInput(f"{path}: modelDescription.xml states no {attribute}")
-    identifier = simulation.get("modelIdentifier", "")
-    if {*identifier} & {"/", "\\", "\0"}:  # it names files
-        raise InvalidInput(f"{path}: modelIdentifier '{identifier}' is not valid")
-
-
-LARGEST_REFERENCE = 2**32 - 1
-"""Value references are unsigned numbers of 32 bits."""
-
-
-def _check_references(root: etree._Element) -> None:
-    """Refuse numbers that C and FMPy would take for others: too large, negative, or zero."""
-    variables = root.findall("ModelVariables/ScalarVariable")
-    for variable in variables:
-        reference = int(variable.get("valueReference", ""))
-        if not 0 <= reference <= LARGEST_REFERENCE or not variable.get("name"):
-            raise ValueError(f"line {variable.sourceline}: a variable without name or reference")
-        if not variable.get("name", "").isprintable():
-            raise ValueError(f"line {variable.sourceline}: a variable's name has a line break")
-    for item in root.iterfind("TypeDefinitions/SimpleType/Enumeration/Item"):
-        if not -(2**31) <= int(item.get("value", "")) < 2**31:
-            raise ValueError(f"line {item.sourceline}: an item does not fit in 32 bits")
-    for unknown in root.iterfind("ModelStructure/*/Unknown"):
-        for text in (unknown.get("index", ""), *unknown.get("dependencies", "").split()):
-            if not 1 <= int(text) <= len(variables):
-                raise ValueError(
-                    f"line {unknown.sourceline}: ModelStructure names the variable {text}; there "
-                    f"are {len(variables)}, counted from 1"
-                )
-
-
-def _schema_error(root: etree._Element) -> str:
-    """The first thing in a model description that the schema of FMI 2.0 does not allow."""
-    folder = Path(fmpy.__file__).parent / "schema" / "fmi2"
-    schema = etree.XMLSchema(file=folder / "fmi2ModelDescription.xsd")
-    if schema.validate(root):
-        return ""
-    return f"line {schema.error_log[0].line}: {schema.error_log[0].message}"
 
 
 def _described(
@@ -329,6 +257,8 @@ def _described(
             f"{path}: modelDescription.xml has {counts[twice[0]]} variables named '{twice[0]}'; "
             "names must be unique (FMI 2.0, 2.2.7), see: congelation check --static"
         )
+    own = f"VendorAnnotations/Tool[@name='{ANNOTATION}']"
+    open_inputs = root.iterfind(f"{own}/OpenInputs/Input")
     relative = _relative_quantities(root)
     # Some tools declare everything as discrete, positions and speeds too, which says nothing.
     distinguishes = any(
@@ -350,8 +280,8 @@ def _described(
         once_per_process=simulation.canBeInstantiatedOnlyOncePerProcess,
         max_output_derivative_order=simulation.maxOutputDerivativeOrder,
         units=MappingProxyType(_units(model)),
-        open_inputs=_open_inputs(root),
-        announces=_announces(root, counts),
+        open_inputs=frozenset(element.get("name", "") for element in open_inputs),
+        announces=EVENT in counts or root.find(own) is not None,
         proposed_step=_proposed_step(model),
         equations=_equations(model),
     )
@@ -407,18 +337,6 @@ def _units(model: fmpy.model_description.ModelDescription) -> dict[str, Unit]:
 def _converts(factor: float, offset: float) -> bool:
     """Whether values can be converted both ways."""
     return factor != 0.0 and math.isfinite(factor) and math.isfinite(offset)
-
-
-def _announces(root: etree._Element, names: Container[str]) -> bool:
-    """Whether the FMU has the output `next_event`, or this project's annotation."""
-    of_ours = root.find(f"VendorAnnotations/Tool[@name='{ANNOTATION}']") is not None
-    return of_ours or EVENT in names
-
-
-def _open_inputs(root: etree._Element) -> frozenset[str]:
-    """The names in ``VendorAnnotations/Tool[@name='congelation']/OpenInputs/Input``."""
-    found = root.findall(f"VendorAnnotations/Tool[@name='{ANNOTATION}']/OpenInputs/Input")
-    return frozenset(element.get("name", "") for element in found)
 
 
 def _nominal(stated: str | None) -> float:

@@ -17,7 +17,7 @@ from congelation.arguments import checked
 from congelation.errors import InvalidInput, counted, nearest, shown
 from congelation.results.print_figures import WIDTH, draw, draw_panels
 from congelation.results.record import GROUPS, RunRecord, Study, Trajectory
-from congelation.results.store import ENDED, Store
+from congelation.results.store import ANEW, ENDED, Store
 
 if TYPE_CHECKING:  # extras, or slow to import
     import pandas
@@ -190,8 +190,8 @@ class Results:
         """
         newest = self._study or self.store.newest()
         about = self.store.about(newest)
-        if "swept" not in about:
-            raise InvalidInput(f"{self.store.database} says nothing of its study; it is damaged")
+        if not about:
+            raise InvalidInput(f"{self.store.database} says nothing of its study; {ANEW}")
         return Study(tuple(Runs(self.store, newest)), about)
 
     def lost_trajectories(self) -> list[str]:

@@ -40,6 +40,12 @@ METADATA = b"congelation"
 ENDED = (Status.COMPLETED.name, Status.TERMINATED.name)
 """How runs end that have a trajectory, if trajectories are kept."""
 
+ANEW = "move it away and run the scenario again"
+"""What is to be done about a database that cannot be used."""
+
+DESCRIBED = {"title", "metrics", "varied", "figures", "swept"}
+"""What the description of a study has at least."""
+
 BUSY = 60.0
 """Seconds to wait for another process that writes into the same directory."""
 
@@ -299,11 +305,14 @@ class Store:
         if not found:
             return {}
         try:
-            return cast(Mapping[str, Any], json.loads(found[0][0]))
-        except ValueError as error:
+            about = json.loads(found[0][0])
+        except (TypeError, ValueError) as error:
             raise InvalidInput(
-                f"{self.database} cannot be read: what it says of a study is damaged ({error})"
+                f"{self.database}: what it says of a study is damaged ({error}); {ANEW}"
             ) from error
+        if not (isinstance(about, dict) and about.keys() >= DESCRIBED):
+            raise InvalidInput(f"{self.database} says nothing of its study; {ANEW}")
+        return about
 
     def newest(self) -> str | None:
         """The study that this directory was last used for."""
@@ -374,7 +383,7 @@ class Store:
             try:
                 yield connection
             except sqlite3.Error as error:
-                raise InvalidInput(f"{self.database} cannot be read: {error}") from error
+                raise InvalidInput(self._told(error, "read")) from error
 
     def _reader(self) -> sqlite3.Connection:
         self._refuse_old()
@@ -386,13 +395,41 @@ class Store:
             uri = f"{self.database.absolute().as_uri()}?mode=ro"
             connection = sqlite3.connect(uri, uri=True, timeout=BUSY, isolation_level=None)
             try:
-                connection.execute("SELECT count(*) FROM studies")
+                self._refuse_foreign(connection)
             except BaseException:
                 connection.close()
                 raise
         except sqlite3.Error as error:
-            raise InvalidInput(f"{self.database} cannot be read: {error}") from error
+            raise InvalidInput(self._told(error, "read")) from error
         return connection
+
+    def _refuse_foreign(self, connection: sqlite3.Connection) -> None:
+        """Raise InvalidInput where the database is not what `make_tables` made."""
+        there = {name for (name,) in connection.execute("SELECT name FROM sqlite_master")}
+        if not there:
+            raise InvalidInput(f"{self.database} is empty: no run was ever stored in it; {ANEW}")
+        columns = {name for name, _ in tables.columns_of(connection)}
+        if not (there >= tables.TABLES and columns >= tables.KEYS):
+            raise InvalidInput(
+                f"{self.database} was written by another program, or by a version of congelation "
+                f"that this one does not read; {ANEW}"
+            )
+
+    def _told(self, error: sqlite3.Error, done: str) -> str:
+        """What an error of SQLite is to a user, and what is to be done."""
+        code = getattr(error, "sqlite_errorcode", None)
+        if code == sqlite3.SQLITE_NOTADB:
+            return (
+                f"{self.database} holds no results: another program wrote it, or its beginning is "
+                f"damaged; {ANEW}"
+            )
+        # What cannot be decoded comes without a code.
+        if code == sqlite3.SQLITE_CORRUPT or "decode" in str(error):
+            return (
+                f"{self.database} is damaged; {self.index.name} beside it may still hold the rows "
+                f"of a finished study, to get them anew {ANEW}"
+            )
+        return f"{self.database} cannot be {done}: {error}"
 
     @contextmanager
     def _transaction(self) -> Iterator[sqlite3.Connection]:
@@ -419,7 +456,7 @@ class Store:
         try:
             yield
         except sqlite3.Error as error:
-            raise StoreError(f"{self.database} cannot be written: {error}") from error
+            raise StoreError(self._told(error, "written")) from error
 
 
 @dataclass(frozen=True)

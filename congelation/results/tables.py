@@ -18,6 +18,11 @@ from congelation.results.record import COLUMNS, GROUPS, RunRecord
 ROWS_AT_ONCE = 10_000
 """Rows read at a time, which bounds the memory that an export takes."""
 
+TABLES = {"runs", "studies", "plans"}
+
+KEYS = {"run_id", "study", "number", "variant", "status"}
+"""The columns of runs without which nothing can be said of one."""
+
 _TYPES = {"bool": "BOOLEAN", "int": "INTEGER", "float": "REAL", "str": "TEXT"}
 """The types of columns, by those of Python."""
 
@@ -61,15 +66,19 @@ def insert(connection: sqlite3.Connection, rows: Sequence[Mapping[str, Any]]) ->
 
 
 def columns_of(connection: sqlite3.Connection) -> list[tuple[str, str]]:
-    """Name and type of every column: those of all runs first, the groups in their places."""
-    found = [(row[1], row[2]) for row in connection.execute("PRAGMA table_info(runs)")]
-    order = list(COLUMNS.values())
+    """Name and type of every column: those of all runs first, the groups in their places.
 
-    def place(entry: tuple[str, str]) -> int:
-        prefix = next((p for p in GROUPS.values() if entry[0].startswith(p)), entry[0])
-        return order.index(prefix)
-
-    return sorted(found, key=place)
+    A column that is none of `COLUMNS` is that of a later version, and left out.
+    """
+    order = {column: place for place, column in enumerate(COLUMNS.values())}
+    found = []
+    for row in connection.execute("PRAGMA table_info(runs)"):
+        name, kind = row[1], row[2]
+        prefix = next((p for p in GROUPS.values() if name.startswith(p)), name)
+        if prefix in order:
+            found.append((order[prefix], name, kind))
+    found.sort(key=lambda entry: entry[0])
+    return [(name, kind) for _, name, kind in found]
 
 
 def batches(

@@ -24,6 +24,7 @@ from congelation.theory.model import (
     Parameter,
     State,
     Variables,
+    control,
     scalar,
     vector,
 )
@@ -99,7 +100,7 @@ def filtered_transformation_controller(n: int = 2, m: int = 0) -> Model:
         states=tuple(states),
         parameters=tuple(parameters),
         outputs=(
-            Output(Variables("u", v, "Control u", indexed=False), differentiated=True),
+            control(v, "Control u"),
             *(Output(s.variables) for s in states[:2]),
             Output(Variables("e", ca.vertcat(*e), "Errors e of the backstepping")),
         ),

@@ -22,7 +22,7 @@ from congelation.theory.model import (
     Output,
     Parameter,
     State,
-    Variables,
+    control,
     matrix,
     scalar,
     vector,
@@ -129,7 +129,7 @@ def matched_controller(
             ),
         ),
         outputs=(
-            Output(Variables("u", u, "Control u", indexed=False), differentiated=True),
+            control(u, "Control u"),
             Output(theta_hat),
         ),
     )

@@ -26,7 +26,9 @@ __all__ = [
     "Signals",
     "State",
     "Variables",
+    "control",
     "matrix",
+    "optional",
     "scalar",
     "vector",
 ]
@@ -188,6 +190,11 @@ class Output:
 
     variables: Variables
     differentiated: bool = False
+
+
+def control(u: ca.SX, description: str) -> Output:
+    """The control of a law as an output."""
+    return Output(Variables("u", ca.SX(u), description, indexed=False), differentiated=True)
 
 
 @dataclass(frozen=True)

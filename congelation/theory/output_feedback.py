@@ -18,6 +18,7 @@ from congelation.theory.model import (
     Parameter,
     State,
     Variables,
+    control,
     vector,
 )
 from congelation.theory.observer_form import checked_orders
@@ -340,9 +341,7 @@ def output_feedback_model(design: OutputFeedbackDesign) -> Model:
         ),
         gains=design.filter_design.gains,
         outputs=(
-            Output(
-                Variables("u", design.u, "Control u of (53)", indexed=False), differentiated=True
-            ),
+            control(design.u, "Control u of (53)"),
             *(Output(v) for v in estimates),
             Output(Variables("z", design.z, "Error variables z of (45)-(46)")),
         ),

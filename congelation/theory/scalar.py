@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import casadi as ca
-
 from congelation.theory.adaptation import AdaptationFactory, gradient
 from congelation.theory.model import (
     Domain,
@@ -12,7 +10,7 @@ from congelation.theory.model import (
     Output,
     Parameter,
     State,
-    Variables,
+    control,
     scalar,
     vector,
 )
@@ -71,9 +69,7 @@ def scalar_controller(adaptation: AdaptationFactory = gradient) -> Model:
             *law.parameters,
         ),
         outputs=(
-            Output(
-                Variables("u", ca.SX(u), "Control u of (3)", indexed=False), differentiated=True
-            ),
+            control(u, "Control u of (3)"),
             Output(theta_hat),
         ),
     )

@@ -16,7 +16,16 @@ from congelation.errors import InvalidInput
 from congelation.theory.adaptation import Adaptation, AdaptationFactory, Joint, gradient
 from congelation.theory.expressions import known_variations
 from congelation.theory.matrices import upper_shift
-from congelation.theory.model import Domain, Input, Model, Output, Parameter, State, Variables
+from congelation.theory.model import (
+    Domain,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    State,
+    Variables,
+    control,
+)
 from congelation.theory.options import Options
 from congelation.theory.state_feedback_factors import (
     control_factor,
@@ -320,10 +329,7 @@ def state_feedback_model(design: StateFeedbackDesign) -> Model:
             *(q for law in laws if law is not None for q in law.parameters),
         ),
         outputs=(
-            Output(
-                Variables("u", design.u, "Control u = alpha_n of (19)", indexed=False),
-                differentiated=True,
-            ),
+            control(design.u, "Control u = alpha_n of (19)"),
             *(Output(v) for v in estimates),
             Output(Variables("z", design.z, "Error variables z of (12)")),
         ),

@@ -53,14 +53,6 @@ class Points(Sink):
         """Keep these columns of a block."""
         self._kept.write(block[:, self._picked])
 
-    def close(self) -> None:
-        """Nothing is left to do."""
-        self._kept.close()
-
-    def abandon(self) -> None:
-        """Nothing is left to do."""
-        self._kept.abandon()
-
     def times(self) -> Floats:
         """When the points were, shape (N,)."""
         return self._kept.rows()[:, 0]

@@ -170,7 +170,7 @@ class Reference:
         A law with damping against disturbances promises something for each of them.
         """
         plant, sources = self.loop.plant, []
-        names = [n for i in plant.inputs if i.source == "disturbance" for n in i.variables.names]
+        names = _disturbances(plant)
         if names and not disturbed and not {"epsilon_d", "q_d"} & self.loop.values.keys():
             sources = [_constant(dict.fromkeys(names, 0.0))]
         return close(plant, self.loop.controller, self.loop.values, sources)
@@ -201,13 +201,13 @@ def reference(case: Case) -> Reference:
     members = (plant, controller, *blocks)
     values = {component.name: start_values_of(component) for component in members}
     links = driven_by(case.system, plant, controller, blocks, models)
+    derived = [block_model(block) for block in blocks]
     sources = [
         Source(model, _parameters(model, values[block.name]), links[block.name])
-        for block in blocks
-        for model in (block_model(block),)
+        for block, model in zip(blocks, derived, strict=True)
     ]
     # What no block drives is held at its start value.
-    driven = {name for block in blocks for name in links[block.name]}
+    driven = {name for given in links.values() for name in given}
     held = {
         name: float(values[component.name][name])
         for component, model in zip((plant, controller), models, strict=True)
@@ -219,27 +219,19 @@ def reference(case: Case) -> Reference:
     if held:
         sources.append(_constant(held))
     loop = close(*models, _parameters(models[1], values[controller.name]), sources)
-    derived = (*models, *(source.model for source in sources[: len(blocks)]))
     states = {
-        state.variables.name: [
-            float(values[c.name][name]) for name in start_names(state, c is plant)
-        ]
-        for c, model in zip(members, derived, strict=True)
+        state.variables.name: [float(values[c.name][n]) for n in start_names(state, c is plant)]
+        for c, model in zip(members, (*models, *derived), strict=True)
         for state in model.states
     }
     profiles, offsets = theta_of(values[plant.name])
     signals = [p for block in blocks for p in theta_of(values[block.name])[0]]
-    disturbed = any(
-        name in driven or held[name] != 0
-        for entry in models[0].inputs
-        if entry.source == "disturbance"
-        for name in entry.variables.names
-    )
+    disturbances = _disturbances(models[0])
     return Reference(
         plant.name,
         controller.name,
         tuple(block.name for block in blocks),
-        disturbed,
+        any(name in driven or held[name] != 0 for name in disturbances),
         loop,
         tuple(profiles),
         tuple(offsets),
@@ -251,6 +243,12 @@ def reference(case: Case) -> Reference:
         ),
         loop.start(states),
     )
+
+
+def _disturbances(plant: Model) -> list[str]:
+    """The elements of inputs by which a plant is disturbed."""
+    inputs = [entry for entry in plant.inputs if entry.source == "disturbance"]
+    return [name for entry in inputs for name in entry.variables.names]
 
 
 def _constant(values: Mapping[str, float]) -> Source:

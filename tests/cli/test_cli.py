@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.scenarios import FMUS, ROOT, SCALAR, write
+from tests.scenarios import FMUS, ROOT, SCALAR, UNDRAWN, write
 from tests.studies import COMMAND, children, environment, is_alive, process, start, until
 from tests.studies import command as congelation
 from tests.studies import last_line as one_line
@@ -65,7 +65,7 @@ def test_bad_input_is_one_line_and_exit_code_2(
 
 def test_a_run_that_fails_is_told_and_exit_code_1(tmp_path: Path) -> None:
     text = SCALAR.replace('{"controller.damping" = false}', '{"controller.epsilon" = -1.0}')
-    done = congelation("run", write(tmp_path, text), "--out", tmp_path / "out")
+    done = congelation("run", write(tmp_path, text, UNDRAWN), "--out", tmp_path / "out")
     line = one_line(done, 1)
     assert "Controller 2: controller at t = 0: " in line
     assert "epsilon" in line
@@ -75,7 +75,8 @@ def test_a_run_that_fails_is_told_and_exit_code_1(tmp_path: Path) -> None:
 
 
 def test_a_run_far_from_the_reference_is_told_and_exit_code_1(tmp_path: Path) -> None:
-    coarse = write(tmp_path, SCALAR, ("step = 0.01", 'step = 0.05\ncoupling = "jacobi"'))
+    held = ("step = 0.01", 'step = 0.05\ncoupling = "jacobi"')
+    coarse = write(tmp_path, SCALAR, UNDRAWN, held)
     line = one_line(congelation("run", coarse, "--verify", "--out", tmp_path / "out"), 1)
     assert "is off the monolithic solution by" in line
     assert "give a smaller tolerance or, where the step is fixed, a shorter step" in line

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -12,16 +13,20 @@ import sys
 import threading
 import time
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from functools import partial
 from pathlib import Path
+from typing import TextIO
 
 import pyarrow.parquet
 import pytest
 
+from congelation.cli import main
 from congelation.results.results import open_results
 from congelation.sweep.local import Local
 from tests.cosim.c_fmus import SOURCES, plain_fmu
-from tests.scenarios import FMUS, ROOT, SCALAR, write
+from tests.scenarios import FMUS, ROOT, SCALAR, UNDRAWN, write
 from tests.studies import COMMAND, children, environment, process, rows, start
 from tests.studies import command as congelation
 from tests.studies import last_line as one_line
@@ -41,10 +46,19 @@ def test_a_full_disk_behind_the_output_is_one_line() -> None:
     assert done.stderr == ("congelation: the output cannot be written: No space left on device\n")
 
 
-def test_a_reader_that_has_enough_gets_no_traceback() -> None:
+@contextmanager
+def unread() -> Iterator[TextIO]:
+    """A pipe that nobody reads."""
     read, written = os.pipe()
     os.close(read)
-    with os.fdopen(written, "w") as pipe:
+    stream = os.fdopen(written, "w")
+    yield stream
+    with suppress(BrokenPipeError):  # of what is left in its buffer
+        stream.close()
+
+
+def test_a_reader_that_has_enough_gets_no_traceback() -> None:
+    with unread() as pipe:
         done = subprocess.run(
             [*COMMAND, "info", FMUS / "ScalarPlant.fmu"],
             stdout=pipe,
@@ -52,12 +66,48 @@ def test_a_reader_that_has_enough_gets_no_traceback() -> None:
             text=True,
             env=environment(),
         )
-    assert done.stderr == ""
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_what_prints_ends_quietly_where_nobody_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit code 1 would be that of a failed run, 3 that of a violated certificate."""
+    monkeypatch.chdir(tmp_path)
+    file, out = write(tmp_path), tmp_path / "out"
+    assert congelation("run", file, "--out", out).returncode == 0
+    plant = FMUS / "ScalarPlant.fmu"
+    for words in (
+        ("--help",),
+        ("run", "--help"),
+        ("run", file, "--out", out, "--progress", "quiet"),
+        ("ls", out),
+        ("ls", out, "--json"),
+        ("show", out, rows(out)[0]["run_id"]),
+        ("report", out),
+        ("export", out, "--csv", tmp_path / "csv"),
+        ("info", plant),
+        ("info", plant, "--json"),
+        ("certify", ROOT / "specs" / "scalar.toml", "--samples", 20),
+        ("schema", "scenario"),
+        ("check", plant, "--static", "--table"),
+        ("examples", tmp_path / "copies"),
+        ("new", "servo"),
+    ):
+        errors = io.StringIO()
+        with (
+            unread() as pipe,
+            redirect_stdout(pipe),
+            redirect_stderr(errors),
+            pytest.raises(SystemExit) as ended,
+        ):
+            main([*map(str, words)])
+        assert (words, ended.value.code, errors.getvalue()) == (words, 141, "")
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])
 def test_a_title_that_the_terminal_cannot_show_is_escaped(tmp_path: Path, encoding: str) -> None:
-    file = write(tmp_path, SCALAR, ("A short loop", "Fast \u03b8(t)"))
+    file = write(tmp_path, SCALAR, UNDRAWN, ("A short loop", "Fast \u03b8(t)"))
     done = subprocess.run(
         [*COMMAND, "run", file, "--progress", "quiet"],
         capture_output=True,
@@ -81,7 +131,7 @@ def test_a_report_that_cannot_be_written_is_refused_before_the_check(
 
 
 def test_run_takes_times_and_coupling_from_its_options(tmp_path: Path) -> None:
-    file = write(tmp_path)
+    file = write(tmp_path, SCALAR, UNDRAWN)
     out = tmp_path / "out"
     done = congelation(
         "run", file, "--out", out, "--stop-time", "0.5", "--tolerance", "1e-4",
@@ -103,7 +153,8 @@ def test_run_takes_times_and_coupling_from_its_options(tmp_path: Path) -> None:
 
 def test_what_options_replaced_is_told_apart_wherever_runs_are_listed(tmp_path: Path) -> None:
     """Runs with and without options in one folder, and in two that are compared."""
-    file, out, other = write(tmp_path), tmp_path / "out", tmp_path / "other"
+    file = write(tmp_path, SCALAR, UNDRAWN)
+    out, other = tmp_path / "out", tmp_path / "other"
     for folder, options in (
         (out, ()),
         (out, ("--tolerance", 1e-3, "--coupling", "hermite")),
@@ -177,7 +228,8 @@ def test_the_most_frequent_causes_end_a_study_with_failures(tmp_path: Path) -> N
 
 def test_an_archive_without_a_stop_time_runs_with_one(tmp_path: Path) -> None:
     file = tmp_path / "loop.ssp"
-    assert congelation("export-ssp", write(tmp_path), file).returncode == 0
+    scenario = write(tmp_path, SCALAR, UNDRAWN)
+    assert congelation("export-ssp", scenario, file).returncode == 0
     with zipfile.ZipFile(file) as archive:
         entries = {name: archive.read(name) for name in archive.namelist()}
     text = entries["SystemStructure.ssd"].decode()

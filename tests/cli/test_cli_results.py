@@ -21,7 +21,7 @@ from congelation.report.text_table import aligned
 from congelation.results.results import Results
 from congelation.sweep.engine import run
 from tests.report.stored import record, results, trajectory
-from tests.scenarios import SCALAR, write
+from tests.scenarios import SCALAR, UNDRAWN, write
 from tests.studies import command as congelation
 from tests.studies import last_line as one_line
 from tests.studies import rows
@@ -68,7 +68,7 @@ def test_step_sizes_are_kept_whatever_rows_are(tmp_path: Path, interval: float |
 
 
 def test_run_as_json(tmp_path: Path) -> None:
-    done = congelation("run", write(tmp_path), "--out", tmp_path / "out", "--json")
+    done = congelation("run", write(tmp_path, SCALAR, UNDRAWN), "--out", tmp_path / "out", "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert [row["status"] for row in found] == ["COMPLETED"] * 2

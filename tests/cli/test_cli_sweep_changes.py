@@ -10,7 +10,7 @@ from congelation.results.results import Results
 from congelation.results.store import Store
 from congelation.sweep import plan as plans
 from tests.cli.test_cli_sweep import rows, sweep
-from tests.scenarios import SCALAR, write
+from tests.scenarios import SCALAR, UNDRAWN, write
 from tests.studies import command
 from tests.studies import last_line as one_line
 
@@ -50,13 +50,13 @@ def test_a_changed_scenario_adds_its_runs_and_keeps_the_others(tmp_path: Path) -
 
 def test_run_refuses_the_folder_of_another_scenario(tmp_path: Path) -> None:
     out = tmp_path / "out"
-    assert command("run", write(tmp_path), "--out", out).returncode == 0
+    assert command("run", write(tmp_path, SCALAR, UNDRAWN), "--out", out).returncode == 0
     before = rows(out)
-    other = write(tmp_path, SCALAR, ("A short loop", "Another loop"))
+    other = write(tmp_path, SCALAR, UNDRAWN, ("A short loop", "Another loop"))
     line = one_line(command("run", other, "--out", out), 2)
     assert line.endswith("holds runs of another scenario, 'A short loop'; give another --out")
     assert rows(out) == before
-    changed = write(tmp_path, SCALAR, ("k_bar = 0.5", "k_bar = 0.6"))
+    changed = write(tmp_path, SCALAR, UNDRAWN, ("k_bar = 0.5", "k_bar = 0.6"))
     assert command("run", changed, "--out", out).returncode == 0
     assert len(rows(out)) == 2 * len(before)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.cli.test_cli_sweep import LONG, SWEEP, rows, sweep
-from tests.scenarios import SCALAR, write
+from tests.scenarios import SCALAR, UNDRAWN, write
 from tests.studies import command as congelation
 from tests.studies import environment, install, process, start, until
 from tests.studies import last_line as one_line
@@ -49,7 +49,7 @@ def test_an_axis_of_one_variant_leaves_the_other_a_run(tmp_path: Path) -> None:
     assert found == {("Controller 1", None), *(("Controller 2", g) for g in (0.5, 1.0, 2.0))}
     assert "4 runs, 0 of them to do" in sweep(file, out, "--resume").stdout
     alone = tmp_path / "alone"
-    assert congelation("run", write(tmp_path), "--out", alone).returncode == 0
+    assert congelation("run", write(tmp_path, SCALAR, UNDRAWN), "--out", alone).returncode == 0
     (own,) = (row for row in rows(alone) if row["variant"] == "Controller 1")
     (same,) = (row for row in rows(out) if row["variant"] == "Controller 1")
     assert same["metric.peak_x"] == own["metric.peak_x"]

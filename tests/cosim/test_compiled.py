@@ -31,7 +31,7 @@ from tests.cosim.c_fmus import bouncing_fmu, plain_fmu
 from tests.cosim.sanitized import WAYS, faulty
 from tests.scenarios import ROOT
 
-HELD = {"tolerance": None, "step": 1e-3, "stop_time": 0.5, "output_interval": None}
+HELD = {"tolerance": None, "step": 2e-3, "stop_time": 0.5, "output_interval": None}
 SCENARIOS = ("scalar", "fig2", "fig3", "rivals")
 
 
@@ -197,8 +197,8 @@ def test_every_scenario(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     """As it is, but for its length, and with `hermite` and `derivative` at fixed steps."""
     scenario = load_scenario(ROOT / "scenarios" / f"{name}.toml")
     case = scenario.case(scenario.variants[-1].settings)
-    experiment = replace(case.experiment, stop_time=min(case.experiment.stop_time, 0.1))
-    fixed = {**HELD, "stop_time": 0.05, "step": 2e-3, "options": {}}
+    experiment = replace(case.experiment, stop_time=min(case.experiment.stop_time, 0.05))
+    fixed = {**HELD, "stop_time": 0.03, "options": {}}
     with SlavePool() as pool:
         for each in (
             experiment,

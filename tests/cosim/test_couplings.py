@@ -96,7 +96,6 @@ def test_jumps_do_not_lower_the_order(loop, coupling, steps, expected):
         assert {0.65, 1.3, 3 * 0.65, 2.6} <= set(result.time.tolist())
 
 
-@pytest.mark.parametrize("units", [-12, -8, -3, -1, 0, 1, 2, 8, 12])
 @pytest.mark.parametrize(
     "kwargs",
     [
@@ -106,16 +105,18 @@ def test_jumps_do_not_lower_the_order(loop, coupling, steps, expected):
         {"coupling": "hermite", "step": 1e300},
     ],
 )
-def test_a_run_may_end_a_rounding_error_before_or_after_a_jump(loop, kwargs, units):
+def test_a_run_may_end_a_rounding_error_before_or_after_a_jump(loop, kwargs):
     """Four half periods of 0.65 s, less or more so many units in the last place."""
-    stop = 2.6 + units * math.ulp(2.6)
-    result = simulate(loop({"a": 1.0}), stop_time=stop, record=RECORD, **kwargs)
-    assert result.completed, result.message
-    assert result.time[-1] == stop
-    assert (np.diff(result.time) > 0.0).all()
-    assert result.statistics.events in (3, 4)
-    end = simulate(loop({"a": 1.0}), stop_time=2.59, record=RECORD, **kwargs).values[-1]
-    assert result.values[-1] == pytest.approx(end, abs=0.05)
+    system = loop({"a": 1.0})
+    end = simulate(system, stop_time=2.59, record=RECORD, **kwargs).values[-1]
+    for units in (-12, -8, -3, -1, 0, 1, 2, 8, 12):
+        stop = 2.6 + units * math.ulp(2.6)
+        result = simulate(system, stop_time=stop, record=RECORD, **kwargs)
+        assert result.completed, (units, result.message)
+        assert result.time[-1] == stop
+        assert (np.diff(result.time) > 0.0).all()
+        assert result.statistics.events in (3, 4)
+        assert result.values[-1] == pytest.approx(end, abs=0.05)
 
 
 def test_jumps_on_grid_points_add_no_rows(loop):

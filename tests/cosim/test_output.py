@@ -147,18 +147,20 @@ def test_a_failing_run_keeps_its_grid_rows(fmus):
     assert result.time == pytest.approx(np.arange(9) * 0.0625)
 
 
-def test_a_file_holds_what_memory_would(loop, tmp_path):
+def test_a_file_holds_what_memory_would(loop, monkeypatch, tmp_path):
     path = tmp_path / "run.parquet"
-    kept = simulate(loop(), stop_time=1.0, step=5e-5, coupling="jacobi")
+    block = BLOCK_ROWS // 8
+    monkeypatch.setattr(sinks, "BLOCK_ROWS", block)
+    kept = simulate(loop(), stop_time=1.0, step=4e-4, coupling="jacobi")
     written = simulate(
-        loop(), stop_time=1.0, step=5e-5, coupling="jacobi", output=Output(sink=ParquetFile(path))
+        loop(), stop_time=1.0, step=4e-4, coupling="jacobi", output=Output(sink=ParquetFile(path))
     )
     table = pyarrow.parquet.read_table(path)
     assert table.column_names == ["time", *kept.names]
     assert np.array_equal(table["time"].to_numpy(), kept.time)
     for name in kept.names:
         assert np.array_equal(table[name].to_numpy(), kept.column(name))
-    assert len(kept.time) > 2 * BLOCK_ROWS
+    assert len(kept.time) > 2 * block
     assert pyarrow.parquet.ParquetFile(path).num_row_groups == 3
     assert np.array_equal(written.values[0], kept.values[-1])
     assert not list(tmp_path.glob("*.part"))

@@ -58,6 +58,28 @@ def test_a_pulse_after_rest_that_nobody_announces_is_seen(fmu, coupling):
 
 
 @pytest.mark.parametrize("coupling", ["auto", "derivative", "hermite"])
+def test_jumps_that_an_fmu_makes_when_its_next_step_begins_are_located(fmu, coupling, monkeypatch):
+    """x' = 1 or -1, by a relay with hysteresis: a triangle of period 0.4 s between -0.1 and 0.1.
+
+    The first jump is late by what the step before it was too long, which is 2 % of the horizon at
+    most, and the result says so."""
+    connected = system(fmu, "s.s -> i.u", "i.x -> s.u", s={"fault": 4.0})
+    wanted = {"stop_time": 3.0, "tolerance": TOLERANCE, "coupling": coupling, "record": ["i.x"]}
+    result = simulate(connected, **wanted)
+    assert result.status is Status.COMPLETED
+    t, x = result.time, result.values[:, 0]
+    phase = (t + 0.1) % 0.4
+    assert np.abs(x - np.where(phase < 0.2, phase - 0.1, 0.3 - phase)).max() < 2.0 * 0.02 * 3.0
+    assert np.abs(x[t > 0.2]).max() < 0.1 + TOLERANCE
+    assert result.statistics.estimated_error > TOLERANCE
+    assert "kept" in result.message
+    monkeypatch.setattr(stepping, "available", lambda: False)
+    again = simulate(connected, **wanted)
+    assert again.time.tolist() == result.time.tolist()
+    assert again.values.tolist() == result.values.tolist()
+
+
+@pytest.mark.parametrize("coupling", ["auto", "derivative", "hermite"])
 @pytest.mark.parametrize(
     ("link", "T", "exact", "jumps"),
     [

@@ -349,7 +349,7 @@ def test_a_library_refuses_the_guid_of_another_fmu(tmp_path: Path) -> None:
         slave.instantiate()
 
 
-@pytest.mark.parametrize("flags", [(), ("-O0",), ("-O3", "-std=c99", "-lm")])
+@pytest.mark.parametrize("flags", [(), ("-O3", "-std=c99", "-lm")])
 def test_an_importer_can_compile_the_sources(flags: tuple[str, ...], tmp_path: Path) -> None:
     """Also without our flags: private names neither meet those of the C library nor are seen."""
     file = NATIVE / "OutputFeedbackController.fmu"

@@ -284,9 +284,9 @@ def test_directories_that_hold_no_results(tmp_path: Path, store: Store) -> None:
     with pytest.raises(InvalidInput, match=r"a\.parquet is damaged: "):
         store.trajectory("a")
     (tmp_path / "runs.sqlite").write_bytes(b"no database" * 100)
-    with pytest.raises(InvalidInput, match=r"runs\.sqlite cannot be read: file is not a database"):
+    with pytest.raises(InvalidInput, match=r"runs\.sqlite holds no results: another program"):
         open_results(tmp_path)
-    with pytest.raises(StoreError, match=r"runs\.sqlite cannot be written"):
+    with pytest.raises(StoreError, match=r"runs\.sqlite holds no results: another program"):
         Store(tmp_path).create()
 
 
@@ -352,8 +352,42 @@ def test_pages_that_are_damaged_are_named(store: Store) -> None:
     content = bytearray(store.database.read_bytes())
     content[4200::97] = bytes(b ^ 0xFF for b in content[4200::97])
     store.database.write_bytes(content)
-    with pytest.raises(InvalidInput, match=r"runs\.sqlite cannot be read: "):
+    with pytest.raises(InvalidInput, match=r"runs\.sqlite is damaged; runs\.parquet beside it may"):
         list(Results(store.root).runs)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (("ALTER TABLE studies RENAME TO other",), "was written by another program, or by a versi"),
+        (("DROP TABLE runs",), "was written by another program, or by a version of congelation"),
+        (("ALTER TABLE runs DROP COLUMN status",), "was written by another program"),
+        (
+            ("DROP TABLE runs", "DROP TABLE studies", "DROP TABLE plans"),
+            "is empty: no run was ever",
+        ),
+    ],
+)
+def test_a_database_of_another_kind_is_named_and_what_to_do(
+    store: Store, changes: tuple[str, ...], message: str
+) -> None:
+    store.close()
+    with sqlite3.connect(store.database) as connection:
+        for change in changes:
+            connection.execute(change)
+    connection.close()
+    for use in (lambda: open_results(store.root), Store(store.root).count):
+        with pytest.raises(InvalidInput, match=f"{message}.*; move it away and run the scenario"):
+            use()
+
+
+def test_a_column_of_a_later_version_is_left_out(store: Store) -> None:
+    store.add([record("a")])
+    store.close()
+    with sqlite3.connect(store.database) as connection:
+        connection.execute("ALTER TABLE runs ADD COLUMN later REAL")
+    connection.close()
+    assert list(open_results(store.root).runs) == [record("a")]
 
 
 @pytest.mark.parametrize(
@@ -361,7 +395,9 @@ def test_pages_that_are_damaged_are_named(store: Store) -> None:
     [
         ("DELETE FROM studies", "says nothing of its study"),
         ("UPDATE studies SET about = '{}'", "says nothing of its study"),
+        ("UPDATE studies SET about = '[1]'", "says nothing of its study"),
         ("UPDATE studies SET about = '{'", "what it says of a study is damaged"),
+        ("UPDATE studies SET about = NULL", "what it says of a study is damaged"),
     ],
 )
 def test_a_study_that_is_damaged_is_named(store: Store, change: str, message: str) -> None:

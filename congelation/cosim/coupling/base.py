@@ -16,6 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.arguments import check_fields
+from congelation.cosim.coupling.points import Points
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.exchange import Exchange
 from congelation.errors import InvalidInput
@@ -134,6 +135,10 @@ class AdaptiveStepper(Stepper[S]):
         ------
         StepDiscarded, SlaveError, RunEnded
         """
+
+    @abstractmethod
+    def points(self, state: S) -> Points:
+        """The values and derivatives of the links that are part of a state."""
 
     @abstractmethod
     def first_step(self, state: S) -> float:

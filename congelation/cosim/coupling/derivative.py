@@ -237,6 +237,9 @@ class DerivativeStepper(AdaptiveStepper[Points]):
         self.iterations += 1
         return state.followed(end, reader.end(state, end, w)), w
 
+    def points(self, state: Points) -> Points:
+        return state
+
     def first_step(self, state: Points) -> float:
         if self.predicts and self._is_plain:
             return 0.0  # nothing is known before a step is made

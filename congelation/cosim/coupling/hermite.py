@@ -386,6 +386,9 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
         worst = int(relative.argmax())
         return float(relative[worst]), worst
 
+    def points(self, state: HermiteState) -> Points:
+        return state.points
+
     def first_step(self, state: HermiteState) -> float:
         if self.predicts and self._reader.inexact.size:
             return 0.0  # nothing is known before a step is made

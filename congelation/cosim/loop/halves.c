@@ -2,6 +2,7 @@
 
 enum { PROBED = 8 };
 static const double SHARES = 2.0, LEAST_SHARE = 1e-2, PASSING_SHARE = 0.3, FLOOR_EXPONENT = 0.25;
+static const double MOST_OF_REFUSED = 0.5;
 static const double LEAST_SHARE_UNSEEN = 0.2, PASSING_SHARE_UNSEEN = 1.2;
 static const double SHORTEST_JUDGED = 1e-6;
 
@@ -82,7 +83,7 @@ static int halved(Loop *loop, const Plan *plan, Memory *memory, State *states, d
 /* Whether a shorter step than the one refused has hardly less of an error, which the run can bear. */
 static int is_floor(const Memory *memory, double length, double tolerance) {
     const double ratio = length / memory->refused_length;
-    return memory->found <= PASSING_SHARE * tolerance && ratio <= 0.5
+    return memory->found <= PASSING_SHARE * tolerance && ratio <= MOST_OF_REFUSED
         && memory->found > memory->refused_error * pow(ratio, FLOOR_EXPONENT);
 }
 

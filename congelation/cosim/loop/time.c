@@ -3,6 +3,7 @@
 static const double SAFETY = 0.9, LARGEST_CHANGE = 4.0, SMALLEST_CHANGE = 0.2;  /* step_size.py */
 static const double PROPORTIONAL = 0.4, INTEGRAL = 0.7, SMALLEST_ERROR = 1e-4;
 static const double STRETCH = 1.1, SMALLEST_STEP = 16.0, SMALLEST_SHARE = 1e-15;  /* adaptive_step.py */
+static const double DELAYED = 10.0;
 static const double SAMPLED_TOLERANCE = 1e-3, MOST_AMPLIFIED = 200.0;  /* recording.py */
 
 /* `unresolved` of Session and OutputGrid: above 1, the step to `end`, which has been made, is too long
@@ -128,6 +129,13 @@ static void shorten(Memory *memory, double length, double scaled, int order) {
     memory->rejected = 1;
 }
 
+/* Whether a jump in the step that is next may come from the one before it, which is for Python to see. */
+static int may_be_due(const Plan *plan, const Memory *memory) {
+    const State *state = &memory->state;
+    if (!memory->rejected || isinf(plan->longest_at_rest) || state->n_times < 2) return 0;
+    return state->times[state->n_times - 1] - state->times[state->n_times - 2] > DELAYED * memory->step;
+}
+
 /* One step from `time`, to *end: tried until its error is below the tolerance. On UNUSUAL it is for
    Python to make. */
 static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *states, double time,
@@ -137,6 +145,10 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
     const long saving = loop->calls - before_saving;
     memory->refused_length = 0.0;
     for (;;) {
+        if (may_be_due(plan, memory)) {
+            loop->calls -= saving;  /* which is done, and counted, once more */
+            return UNUSUAL;
+        }
         *end = end_of(time, memory->step, target);
         const double length = *end - time;
         Trial trial;
@@ -167,7 +179,7 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
                 loop->floors++;
                 memory->step = memory->refused_length;
                 memory->rejected = 1;
-            } else {
+            } else if (memory->refused_length == 0.0 || length <= MOST_OF_REFUSED * memory->refused_length) {
                 memory->refused_length = length;
                 memory->refused_error = memory->found;
             }

@@ -2,7 +2,8 @@
    s = sin(w t), held = sin(5 k / 10) since t = k / 10, z = cos(50 t) with its derivative,
    on = t >= 0.3337, count = floor(10 t). With `fault` 1 the derivative of z is no number; with 2 the FMU
    refuses steps that do not begin where the last one ended, and saved states are without its time;
-   with 3, s is 1 from t = 3.3 to 4.3 and otherwise 0. */
+   with 3, s is 1 from t = 3.3 to 4.3 and otherwise 0; with 4, s is a relay with hysteresis, which looks
+   at u when a step begins: 1 until u > 0.1, then -1 until u < -0.1. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -15,7 +16,7 @@ enum { U, X, S, HELD, Z, SLOPE, A, W, FAULT, COUNT };
 
 typedef struct {
     double v[COUNT], x, t;
-    int switched, level;
+    int switched, level, lowers;
     double *ended;
 } Model;
 
@@ -50,7 +51,11 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
     Model *m = c;
     for (size_t i = 0; i < n; i++) switch (r[i]) {
         case X: value[i] = m->x; break;
-        case S: value[i] = m->v[FAULT] == 3 ? m->t >= 3.3 && m->t < 4.3 : sin(m->v[W] * m->t); break;
+        case S:
+            value[i] = m->v[FAULT] == 3 ? m->t >= 3.3 && m->t < 4.3
+                     : m->v[FAULT] == 4 ? 1.0 - 2.0 * m->lowers
+                     : sin(m->v[W] * m->t);
+            break;
         case HELD: value[i] = sin(0.5 * counted(m)); break;
         case Z: value[i] = cos(50.0 * m->t); break;
         case SLOPE: value[i] = m->v[FAULT] == 1 ? NAN : -50.0 * sin(50.0 * m->t); break;
@@ -93,6 +98,7 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     Model *m = c;
     if (m->v[FAULT] == 2 && fabs(t - *m->ended) > 1e-12) return fmi2Error;
     *m->ended = t + h;
+    if (fabs(m->v[U]) > 0.1) m->lowers = m->v[U] > 0.1;
     double a = m->v[A], b = m->v[U] + m->switched + m->level;
     m->x = exp(a * h) * m->x + (a == 0 ? h : expm1(a * h) / a) * b;
     m->t = t + h;
