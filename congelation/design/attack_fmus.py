@@ -15,7 +15,6 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
@@ -33,7 +32,6 @@ from congelation.scenario.scenario import Experiment, MetricSpec, Scenario
 
 __all__ = ["attack_fmus"]
 
-Floats = NDArray[np.float64]
 
 RUNS = 300
 """Runs of one search at effort 1."""
@@ -101,9 +99,11 @@ def attack_fmus(
             continue
         for name in objectives:
             with SlavePool() as pool, tempfile.TemporaryDirectory() as folder:
-                rig = _Rig(scenario, variant.name, varied, specs[name], source, pool, Path(folder))
-                found = rig.search(int(RUNS * effort), seed, progress)
-            notes += rig.notes
+                by_runs = _SearchByRuns(
+                    scenario, variant.name, varied, specs[name], source, pool, Path(folder)
+                )
+                found = by_runs.search(int(RUNS * effort), seed, progress)
+            notes += by_runs.notes
             if isinstance(found, Find):
                 finds.append(found)
             else:
@@ -111,7 +111,7 @@ def attack_fmus(
     return Attack(scenario, tuple(finds), tuple(missed), tuple(varied), source, tuple(notes))
 
 
-class _Rig:
+class _SearchByRuns:
     """One variant and metric, and the runs of a search."""
 
     def __init__(
