@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from congelation.cosim.coupling import AdaptiveStepper, Trial
-from congelation.cosim.delayed_jumps import JUMPED, jump_ahead, jumped
+from congelation.cosim.delayed_jumps import JUMPED, JumpDelayed, jump_ahead, jumped
 from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.result import RunEnded, Status
 from congelation.cosim.session import Session
@@ -65,7 +65,7 @@ nothing has moved, so steps would grow, and not see what begins and ends within 
 
 DELAYED = 10.0
 """A jump right at the start of a step comes from what happened in the one before, and was delayed
-by it, where that one is more than so many times as long."""
+by it, where that one is more than so many times as long as the shortest."""
 
 AT_ONCE = 1e-2
 """And it is right at the start where so much of the shortest step has it."""
@@ -169,8 +169,7 @@ class RunState:
     late : int
         Steps that have kept their length because of a jump that no FMU announced.
     looks_ahead : bool
-        Whether steps are to end before jumps that FMUs make when their next step begins, as one of
-        them has come too late.
+        Whether steps are to end before jumps that FMUs make when their next step begins.
     """
 
     coupling: Any
@@ -337,10 +336,15 @@ def fitting_step(
     before = ensemble.Y[ensemble.source]
     delayed = None
     while True:
-        if delayed is None and _is_due(session, rules, run):
-            at_once = rules.shortest * AT_ONCE
-            delayed = jump_ahead(session, run.coupling, run.time, at_once, rules.tolerance)
-        tried = _tried(session, rules, run, target, before)._replace(delayed=delayed or 0.0)
+        if delayed is None and run.size.rejected:
+            delayed = _delayed(session, rules, run)
+        tried = _tried(session, rules, run, target, before)
+        kinked = rules.halves and tried.fits and run.halving.kink > JUMPED * rules.tolerance
+        if kinked and delayed is None:
+            ensemble.restore()
+            delayed = _delayed(session, rules, run)
+            continue  # and make it again
+        tried = tried._replace(delayed=delayed or 0.0)
         if tried.fits:
             refused = None
         outcome = outcome_of(tried, rules, run.late, refused)
@@ -353,17 +357,18 @@ def fitting_step(
         session.rejected += 1
 
 
-def _is_due(session: Session, rules: Rules, run: RunState) -> bool:
-    """Whether a jump in the step that is next may come from the one before it."""
+def _delayed(session: Session, rules: Rules, run: RunState) -> float:
+    """What it makes of the links that the step before has delayed a jump at the start of this one;
+    0 where it has not."""
     stepper = session.stepper
     assert isinstance(stepper, AdaptiveStepper)
-    times = stepper.points(run.coupling).times
-    return (
-        rules.delays
-        and run.size.rejected
-        and len(times) > 1
-        and times[-1] - times[-2] > DELAYED * max(run.size.length, rules.shortest)
-    )
+    points = stepper.points(run.coupling)
+    if not rules.delays or len(points.times) < 2:
+        return 0.0
+    last, at_once = points.distance(1), rules.shortest * AT_ONCE
+    if last <= DELAYED * rules.shortest:
+        return 0.0
+    return jump_ahead(session, run.coupling, run.time, at_once, last, rules.tolerance)
 
 
 def _tried(session: Session, rules: Rules, run: RunState, target: float, before: Floats) -> Tried:
@@ -389,14 +394,20 @@ def _tried(session: Session, rules: Rules, run: RunState, target: float, before:
         and length > rules.shortest
         and (
             (rules.switches and ensemble.discrete_values() != run.sent)
-            or (
-                run.looks_ahead
-                and error <= 1.0
-                and jump_ahead(session, trial.state, end, rules.shortest, rules.tolerance) > 0.0
-            )
+            or (error <= 1.0 and _jumps(session, rules, run, trial.state, end))
         )
     )
     return Tried(end, length, trial, error, order, fits, found, predicted, lag, switched)
+
+
+def _jumps(session: Session, rules: Rules, run: RunState, state: Any, end: float) -> bool:
+    """Whether a step has a jump in it that its error does not show, or one follows."""
+    if rules.halves and rules.delays and run.halving.jump > JUMPED * rules.tolerance:
+        return True
+    length = end - run.time
+    return run.looks_ahead and bool(
+        jump_ahead(session, state, end, rules.shortest, length, rules.tolerance)
+    )
 
 
 def _end(time: float, length: float, target: float) -> float:
@@ -451,6 +462,10 @@ def take(
     """Go on from a step that is not taken back, and record its end.
 
     A point at `target` that lies just before a jump is recorded together with the jump.
+
+    Raises
+    ------
+    JumpDelayed
     """
     ensemble, stepper, trial, end = session.ensemble, session.stepper, tried.trial, tried.end
     assert trial is not None  # what cannot be made is taken back
@@ -471,9 +486,13 @@ def take(
     stated = run.halving.estimate if rules.halves else trial.error
     session.largest_error = max(session.largest_error, stated, tried.delayed)
     if tried.delayed:
-        run.looks_ahead = True
+        if not run.looks_ahead:
+            raise JumpDelayed
         session.kept += outcome is Outcome.ACCEPTED
-    jumps = run.looks_ahead and jumped(session, run.coupling, tried.length, rules.tolerance)
+    if rules.halves:
+        jumps = run.halving.jump > JUMPED * rules.tolerance
+    else:
+        jumps = run.looks_ahead and jumped(session, run.coupling, tried.length, rules.tolerance)
     if rules.halves:
         run.halving = run.halving.accepted(ensemble.Y[ensemble.judged])
     if rules.predicts:

@@ -1,6 +1,9 @@
-"""Jumps that an FMU makes when its next step begins, from its inputs at the end of the last one.
+"""Jumps of values and of slopes that an FMU makes late, as it looks at its inputs only when a step
+begins.
 
-They are late by as much as the last step was too long, and no estimate of its error sees it.
+They come by as much too late as a step was too long, and no estimate of its error sees it. What
+shows is that a step has a jump in it however short it is (`jump_ahead`), or that one half of a step
+has all of the change of a link (`step_size.jump_within`).
 """
 
 from __future__ import annotations
@@ -12,17 +15,58 @@ import numpy as np
 from congelation.cosim.coupling import AdaptiveStepper
 from congelation.cosim.exchange import settle_discrete
 from congelation.cosim.session import Session
+from congelation.cosim.step_size import in_proportion
 from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
-__all__ = ["JUMPED", "jump_ahead", "jumped"]
+__all__ = ["JUMPED", "KINKED", "JumpDelayed", "jump_ahead", "jumped"]
 
 JUMPED = 10.0
 """Error, in tolerances, beyond which the values before a step say nothing of those after it."""
 
+KINKED = 3.0
+"""Error, in tolerances, that a jump of a slope may leave in a link by coming a step late."""
 
-def jump_ahead(session: Session, state: Any, time: float, length: float, tolerance: float) -> float:
-    """Relative size of the jump in a step of that length, in seconds, from `time`, where the FMUs
-    are left and the coupling has this state; 0 where there is none."""
+PROBE = 0.1
+"""Step, as a part of the one before, over which a slope is looked at; and over its half and
+quarter."""
+
+
+class JumpDelayed(Exception):
+    """A step has delayed a jump: the run is to be made again, and look ahead."""
+
+
+def jump_ahead(
+    session: Session, state: Any, time: float, shortest: float, before: float, tolerance: float
+) -> float:
+    """What it makes of the links, relative to their sizes, that an FMU jumps when its step from
+    `time` begins, where the FMUs are left and the coupling has this state; 0 if none does.
+
+    Parameters
+    ----------
+    shortest : float
+        Step within which a value has to jump, in seconds.
+    before : float
+        Length of the step before, in seconds, by which the jump may be late.
+    """
+    found = _missed_by(session, state, time, shortest)
+    if found > JUMPED * tolerance:
+        return found
+    quarter, half, whole = (
+        _missed_by(session, state, time, k * PROBE * before) for k in (0.25, 0.5, 1.0)
+    )
+    kink = whole / PROBE
+    if kink > KINKED * tolerance and in_proportion(half, whole) and in_proportion(quarter, half):
+        return kink
+    return 0.0
+
+
+def jumped(session: Session, state: Any, length: float, tolerance: float) -> bool:
+    """Whether a step of that length from `state` has led where its start does not explain."""
+    return _missed(session, state, length) > JUMPED * tolerance
+
+
+def _missed_by(session: Session, state: Any, time: float, length: float) -> float:
+    """`_missed` of a step that is made for a trial; 0 where it cannot be made."""
     ensemble = session.ensemble
     if time + length > session.stop:
         return 0.0
@@ -32,19 +76,13 @@ def jump_ahead(session: Session, state: Any, time: float, length: float, toleran
         ensemble.save()
         settle_discrete(ensemble, time)
         _stepper(session).attempt(state, time, time + length)
-        missed = _missed(session, state, length)
-        return missed if missed > JUMPED * tolerance else 0.0
+        return _missed(session, state, length)
     except (StepDiscarded, SlaveTerminated):
         return 0.0  # the next step will say what is wrong
     finally:
         ensemble.restore()
         ensemble.level = 0
         ensemble.Y[:] = Y
-
-
-def jumped(session: Session, state: Any, length: float, tolerance: float) -> bool:
-    """Whether a step of that length from `state` has led where its start does not explain."""
-    return _missed(session, state, length) > JUMPED * tolerance
 
 
 def _missed(session: Session, state: Any, length: float) -> float:

@@ -20,6 +20,7 @@ from congelation.cosim.bands import (
 )
 from congelation.cosim.choice import Lack, chosen
 from congelation.cosim.coupling import Auto, Derivative, Hermite, ModelExchange
+from congelation.cosim.delayed_jumps import KINKED
 from congelation.cosim.experiment import Experiment, slave_tolerance
 from congelation.cosim.further_runs import Note, observed, probed
 from congelation.cosim.pool import SlavePool
@@ -230,7 +231,8 @@ def _judged(
     notes: list[Note] = []
     if mode == "order":
         order, notes = observed(again, np.abs(signed), ~switched, FLOOR * peaks, names)
-    found, differs = _widths(again, signed, switched, order, peaks, switches=switches)
+    sizes = peaks + [item.variable.nominal for item in recorded]
+    found, differs = _widths(again, signed, switched, order, peaks, sizes, switches=switches)
     if mode == "probe":
         notes += probed(again, found, names)
     runs = 1.0 + again.steps / (statistics.macro_steps * (3.0 if statistics.parts > 1 else 1.0))
@@ -266,6 +268,7 @@ def _widths(
     switched: Mask,
     order: float | Floats,
     peaks: Floats,
+    sizes: Floats,
     *,
     switches: bool,
 ) -> tuple[Floats, Floats]:
@@ -279,7 +282,8 @@ def _widths(
         The values less those of the second run.
     switched : array, shape (M,)
     order : float or array, shape (M,)
-    peaks : array, shape (M,)
+    peaks, sizes : arrays, shape (M,)
+        The sizes are nominal values plus peaks.
     switches : bool
         Whether anything switches, recorded or not.
     """
@@ -301,6 +305,9 @@ def _widths(
         every_step = again.statistics.parts == 1 and np.array_equal(time, again.points)
         found = bands(time, signed, powers, peaks, every_step=every_step)
     floor = max(FLOOR, SLAVE_FLOOR * (slave_tolerance(again.experiment) or 0.0)) * peaks
+    if again.statistics.looks_ahead:
+        # What a jump may leave by coming late; both runs may make it at the same time.
+        floor = np.maximum(floor, KINKED * (again.experiment.tolerance or 0.0) * sizes)
     found = np.maximum(found, floor)
     if not switches:
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -16,6 +16,7 @@ from congelation.cosim.choice import Lack, chosen, without
 from congelation.cosim.columns import Columns
 from congelation.cosim.coupling import Auto, Coupling, ModelExchange
 from congelation.cosim.coupling.model_exchange import Smooth
+from congelation.cosim.delayed_jumps import JumpDelayed
 from congelation.cosim.ensemble import Ensemble
 from congelation.cosim.error_bars import trusted
 from congelation.cosim.experiment import (
@@ -155,6 +156,7 @@ def perform(
     pool: SlavePool | None = None,
     points: Sequence[float] | None = None,
     lacks: Sequence[Lack] = (),
+    looks_ahead: bool = False,
 ) -> Result:
     """Run a coupled system as an experiment says.
 
@@ -171,6 +173,8 @@ def perform(
         place of the experiment's steps.
     lacks : sequence of Lack
         Abilities that FMUs declare and are to be taken not to have.
+    looks_ahead : bool
+        As in `run_adaptive`; a run that turns out to need it is made again from its start.
 
     Returns
     -------
@@ -204,6 +208,7 @@ def perform(
     kinds = tuple((output.every, output.interval) for output in outputs)
     memory = Memory()
     status, message, statistics = Status.COMPLETED, Status.COMPLETED.value, Statistics()
+    delayed = False
     with ExitStack() as stack:
         recorders = [stack.enter_context(Recorder(names, one.sink or memory)) for one in outputs]
         lender = pool if pool is not None else stack.enter_context(SlavePool())
@@ -218,13 +223,31 @@ def perform(
             pairs = zip(outputs, recorders, strict=True)
             rows = [one.rows(session.columns, to, visits=exchange) for one, to in pairs]
             session.begin(resolved, rows, progress)
-            status, message = _ended(session, experiment, points)
+            try:
+                status, message = _ended(session, experiment, points, looks_ahead=looks_ahead)
+            except JumpDelayed:
+                delayed = True
             statistics = session.statistics(clock.perf_counter() - begin)
             if status is Status.COMPLETED:
                 renewed = (f"{k}." for k in lender.renewed(resolved.members))
                 message = " ".join([message, *session.ensemble.strays.values(), *renewed])
         except SlaveError as error:
             status, message = Status.SLAVE_FAILED, str(error)
+    if delayed:
+        return perform(
+            system,
+            experiment,
+            output=output,
+            progress=progress,
+            pool=pool,
+            points=points,
+            lacks=lacks,
+            looks_ahead=True,
+        )
+    if looks_ahead:
+        statistics = replace(statistics, looks_ahead=True)
+        if status is Status.COMPLETED:
+            message = f"{message} {MADE_AGAIN}"
     if status is Status.COMPLETED and experiment.tolerance is not None and not exchange:
         peaks = dict(zip(names, recorders[0].peaks[1:].tolist(), strict=True))
         faint = _faint(resolved, peaks, outputs[0], experiment, experiment.tolerance)
@@ -272,6 +295,11 @@ def _faint(
     )
 
 
+MADE_AGAIN = (
+    "The run was made again from its start, to end steps before jumps that an FMU makes when its "
+    "next step begins."
+)
+
 ROUNDING = 1e-13
 """Values below so many nominal values may be the rounding errors of a system at rest."""
 
@@ -311,7 +339,11 @@ def _set_up(
 
 
 def _ended(
-    session: Session, experiment: Experiment, points: Sequence[float] | None
+    session: Session,
+    experiment: Experiment,
+    points: Sequence[float] | None,
+    *,
+    looks_ahead: bool,
 ) -> tuple[Status, str]:
     """Run a session to its end, whatever that is."""
     tolerance, step = experiment.tolerance, experiment.step
@@ -325,7 +357,7 @@ def _ended(
             elif points is not None:
                 run_fixed(session, state, GivenPoints(points, experiment.start_time))
             elif tolerance is not None:
-                run_adaptive(session, state, tolerance, step)
+                run_adaptive(session, state, tolerance, step, looks_ahead=looks_ahead)
             elif step is not None:
                 run_fixed(session, state, Grid(session.start, session.stop, step))
             session.finish(completed=True)

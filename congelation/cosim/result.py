@@ -95,6 +95,9 @@ class Statistics:
         Power of the step with which the error of the run falls, where everything is smooth.
     parts : int
         Steps that each macro step consists of: two where it is made in halves, which are kept.
+    looks_ahead : bool
+        Whether the run was made again, to end steps before jumps that FMUs make when their next
+        step begins.
     """
 
     macro_steps: int = 0
@@ -108,6 +111,7 @@ class Statistics:
     wall_time: float = 0.0
     order: int = 1
     parts: int = 1
+    looks_ahead: bool = False
 
 
 @dataclass(frozen=True, eq=False)

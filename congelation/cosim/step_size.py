@@ -81,6 +81,9 @@ class Halving:
     estimate : float
         The same over the share of the tolerance that a step may have, for a result to state. A
         value that no input sees may have more, and more is stated.
+    jump, kink : float
+        How far a link was off, relative to the same, that jumped somewhere in the step, or whose
+        slope jumped at its start; see `jump_within`.
     """
 
     sizes: Floats
@@ -88,6 +91,8 @@ class Halving:
     left: int
     found: float = 0.0
     estimate: float = 0.0
+    jump: float = 0.0
+    kink: float = 0.0
 
     def judge(
         self, relative: Floats, links: int, length: float, horizon: float
@@ -198,7 +203,52 @@ def halved(
         halving.lasting = np.divide(lasting, size, out=np.ones(len(size)), where=size > lasting)
     scale = ensemble.judged_nominal + np.maximum(halving.sizes, np.abs(found))
     relative = np.abs(difference) / (2.0**ORDER_HELD - 1.0) / scale
+    links = len(ensemble.links)
+    halving.jump, halving.kink = jump_within(
+        stepper.points(state).now, first_half[:links], found[:links], scale[:links], end - time
+    )
     return Trial(rest.state, *halving.judge(relative, len(ensemble.links), end - time, horizon))
+
+
+SUDDEN = 8.0, 1.4
+"""How many times as far off a link is at the end of a step as in its middle, above or below which
+it has jumped in one half."""
+
+IN_PROPORTION = 1.6, 2.5
+"""And between which its slope has jumped at the start; curvature makes 4, rounding errors 1."""
+
+
+def jump_within(
+    now: Floats, middle: Floats, end: Floats, scale: Floats, length: float
+) -> tuple[float, float]:
+    """How far a link is off from where its value and derivative `now`, shape (2, L), lead, if all
+    of that comes in one half of the step, or from its start on; the largest relative to `scale`.
+
+    Parameters
+    ----------
+    middle, end, scale : arrays, shape (L,)
+    length : float
+        Seconds.
+
+    Returns
+    -------
+    jump, kink : float
+        The largest of the two kinds.
+    """
+    value, slope = now
+    off = np.abs(end - value - length * slope)
+    half = np.abs(middle - value - (length / 2.0) * slope)
+    many, few = SUDDEN
+    sudden = (off > many * half) | (off < few * half)
+    relative = off / scale
+    kinked = in_proportion(half, off)
+    return float(relative[sudden].max(initial=0.0)), float(relative[kinked].max(initial=0.0))
+
+
+def in_proportion(half: Any, whole: Any) -> Any:
+    """Whether numbers are in proportion to the length of a step, to the half and to the whole."""
+    few, many = IN_PROPORTION
+    return (few * half < whole) & (whole < many * half)
 
 
 def compared(

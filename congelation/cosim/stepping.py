@@ -143,6 +143,8 @@ def run_adaptive(
     state: Any,
     tolerance: float,
     first_step: float | None,
+    *,
+    looks_ahead: bool,
 ) -> None:
     """Step from start to stop with the estimated error of each step below `tolerance`.
 
@@ -155,10 +157,14 @@ def run_adaptive(
     RunEnded
         STEP_TOO_SMALL or NOT_CONVERGED, which name the connection, or what the smallest step
         ended with.
+    JumpDelayed
+        The run is to be made again, with `looks_ahead`: whether steps are to end before jumps that
+        FMUs make when their next step begins.
     SlaveError
     """
     rules = Rules.of(session, tolerance)
     run = _begun(session, rules, state, first_step)
+    run.looks_ahead = looks_ahead
     if rules.takes_back:
         length = min(TRIED * rules.horizon, (run.event - run.time) / 4.0)
         require_restored(session.ensemble, session.stepper, state, run.time, length)
@@ -166,7 +172,7 @@ def run_adaptive(
     assert not isinstance(compiled, CompiledHeld)  # which takes no tolerance
     while run.time < session.stop:
         refused = None
-        if compiled is not None and not run.looks_ahead:
+        if compiled is not None and not looks_ahead:
             code, run.coupling, run.size, run.time, run.event = compiled.adaptive(
                 run.coupling, run.size, run.time, run.event, run.halving, session.most
             )

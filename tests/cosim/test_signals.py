@@ -57,26 +57,53 @@ def test_a_pulse_after_rest_that_nobody_announces_is_seen(fmu, coupling):
     assert result.values[-1, 0] == pytest.approx(1.0, abs=10.0 * TOLERANCE)
 
 
-@pytest.mark.parametrize("coupling", ["auto", "derivative", "hermite"])
-def test_jumps_that_an_fmu_makes_when_its_next_step_begins_are_located(fmu, coupling, monkeypatch):
-    """x' = 1 or -1, by a relay with hysteresis: a triangle of period 0.4 s between -0.1 and 0.1.
+def triangle(t):
+    """Of period 0.4 s, between -0.1 and 0.1: x' = 1 until x > 0.1, then -1 until x < -0.1."""
+    phase = (t + 0.1) % 0.4
+    return np.where(phase < 0.2, phase - 0.1, 0.3 - phase)
 
-    The first jump is late by what the step before it was too long, which is 2 % of the horizon at
-    most, and the result says so."""
-    connected = system(fmu, "s.s -> i.u", "i.x -> s.u", s={"fault": 4.0})
-    wanted = {"stop_time": 3.0, "tolerance": TOLERANCE, "coupling": coupling, "record": ["i.x"]}
+
+def bounces(t):
+    """The height of a ball that falls from 1 m, and bounces with 0.8 of its speed."""
+    x, start, speed, g = np.zeros_like(t), 0.0, 0.0, 9.81
+    height = 1.0
+    while start < t[-1]:
+        s = t - start
+        end = (speed + np.sqrt(speed**2 + 2.0 * g * height)) / g
+        at = (s >= 0.0) & (s < end)
+        x[at] = (height + speed * s - g * s**2 / 2.0)[at]
+        start, speed, height = start + end, 0.8 * (g * end - speed), 0.0
+    return x
+
+
+@pytest.mark.parametrize("coupling", ["auto", "derivative", "hermite"])
+@pytest.mark.parametrize("order", ["si", "is"])
+@pytest.mark.parametrize(
+    ("fault", "links", "judged", "exact", "T"),
+    [
+        (4.0, ("s.s -> i.u", "i.x -> s.u"), "i.x", triangle, 2.9),
+        (5.0, ("s.x -> i.u",), "s.x", bounces, 1.9),
+    ],
+)
+def test_jumps_that_an_fmu_makes_when_its_next_step_begins_are_located(
+    fmu, coupling, order, fault, links, judged, exact, T, monkeypatch
+):
+    """Of a value, and of a slope; in whatever order the components stand."""
+    both = system(fmu, *links, s={"fault": fault})
+    connected = System(tuple(sorted(both.components, key=lambda c: order.index(c.name))), links)
+    wanted = {"stop_time": T, "tolerance": 1e-3, "coupling": coupling, "record": [judged]}
     result = simulate(connected, **wanted)
     assert result.status is Status.COMPLETED
-    t, x = result.time, result.values[:, 0]
-    phase = (t + 0.1) % 0.4
-    assert np.abs(x - np.where(phase < 0.2, phase - 0.1, 0.3 - phase)).max() < 2.0 * 0.02 * 3.0
-    assert np.abs(x[t > 0.2]).max() < 0.1 + TOLERANCE
-    assert result.statistics.estimated_error > TOLERANCE
-    assert "kept" in result.message
+    off = np.abs(result.values[:, 0] - exact(result.time))
+    assert off.max() < 10.0 * 1e-3
     monkeypatch.setattr(stepping, "available", lambda: False)
     again = simulate(connected, **wanted)
     assert again.time.tolist() == result.time.tolist()
     assert again.values.tolist() == result.values.tolist()
+    if coupling == "hermite" and fault == 4.0:
+        return  # whose iterations do not converge at fixed steps over such a jump
+    bands = simulate(connected, trust=True, **wanted).column(f"error({judged})")
+    assert bands.max() >= off.max()
 
 
 @pytest.mark.parametrize("coupling", ["auto", "derivative", "hermite"])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 __all__ = ["VERSION", "available", "load_library", "loaded"]
 
-VERSION = 8
+VERSION = 9
 """Version of the library that fits these structures; as in loop/loop.c."""
 
 

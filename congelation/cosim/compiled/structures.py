@@ -203,6 +203,8 @@ class Memory(ctypes.Structure):
         ("lasting", ctypes.c_void_p),
         ("found", ctypes.c_double),
         ("estimate", ctypes.c_double),
+        ("jump", ctypes.c_double),
+        ("kink", ctypes.c_double),
         ("left", ctypes.c_int),
         ("rejected", ctypes.c_int),
         ("n_grids", ctypes.c_int),

@@ -2,7 +2,7 @@
 
 enum { PROBED = 8 };
 static const double SHARES = 2.0, LEAST_SHARE = 1e-2, PASSING_SHARE = 0.3, FLOOR_EXPONENT = 0.25;
-static const double MOST_OF_REFUSED = 0.5;
+static const double MOST_OF_REFUSED = 0.5, MANY = 8.0, FEW = 1.4, FEWER = 2.5, MORE = 1.6;
 static const double LEAST_SHARE_UNSEEN = 0.2, PASSING_SHARE_UNSEEN = 1.2;
 static const double SHORTEST_JUDGED = 1e-6;
 
@@ -54,7 +54,8 @@ static int halved(Loop *loop, const Plan *plan, Memory *memory, State *states, d
     code = in_halves(loop, plan, from, &states[1], &states[0], time, end, trial, first_half);
     if (code || !W || !isfinite(trial->error)) return code;
     const double even = SHARES * (end - time) / plan->horizon;
-    memory->found = memory->estimate = trial->error = 0.0;
+    const double *now = from->table + (KEPT - 1) * L, *slope = from->table + (2 * KEPT - 1) * L;
+    memory->found = memory->estimate = memory->jump = memory->kink = trial->error = 0.0;
     trial->order = 1;
     const int is_short = end - time <= SHORTEST_JUDGED * plan->horizon;
     for (ptrdiff_t k = 0; k < W; k++) {
@@ -65,8 +66,16 @@ static int halved(Loop *loop, const Plan *plan, Memory *memory, State *states, d
             memory->lasting[k] = fabs(difference) > lasting ? lasting / fabs(difference) : 1.0;
         }
         const double size = memory->sizes[k] > fabs(found) ? memory->sizes[k] : fabs(found);
-        const double error = is_short && k >= L ? 0.0
-            : fabs(difference) / 3.0 / (loop->judged_nominal[k] + size);
+        const double scale = loop->judged_nominal[k] + size;
+        const double error = is_short && k >= L ? 0.0 : fabs(difference) / 3.0 / scale;
+        if (k < L) {  /* jump_within */
+            const double length = end - time;
+            const double off = fabs(found - now[k] - length * slope[k]);
+            const double half = fabs(first_half[k] - now[k] - (length / 2.0) * slope[k]);
+            const int kinked = MORE * half < off && off < FEWER * half;
+            if (off > MANY * half || off < FEW * half) memory->jump = larger(memory->jump, off / scale);
+            if (kinked) memory->kink = larger(memory->kink, off / scale);
+        }
         const double least = k < L ? LEAST_SHARE : LEAST_SHARE_UNSEEN;
         const double lasts = error * memory->lasting[k] / larger(even, least);
         const double passes = error / (k < L ? PASSING_SHARE : PASSING_SHARE_UNSEEN);

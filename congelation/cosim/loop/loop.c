@@ -11,7 +11,7 @@
 
 /* Raised with each change of a structure or a function here: a library of another version, left over
    from an earlier installation, is not used. */
-EXPORT int loop_version(void) { return 8; }
+EXPORT int loop_version(void) { return 9; }
 
 #include "calls.c"
 #include "recording.c"

@@ -134,7 +134,7 @@ typedef struct {
     double step, error_before, event;
     double refused_length, refused_error;  /* of the last trial of a step that goes on; length 0: none */
     double *sizes, *lasting;  /* (n_judged,) */
-    double found, estimate;
+    double found, estimate, jump, kink;
     int left, rejected, n_grids;
     Grid *grids;              /* those that judge steps */
 } Memory;

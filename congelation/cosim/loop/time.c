@@ -3,7 +3,7 @@
 static const double SAFETY = 0.9, LARGEST_CHANGE = 4.0, SMALLEST_CHANGE = 0.2;  /* step_size.py */
 static const double PROPORTIONAL = 0.4, INTEGRAL = 0.7, SMALLEST_ERROR = 1e-4;
 static const double STRETCH = 1.1, SMALLEST_STEP = 16.0, SMALLEST_SHARE = 1e-15;  /* adaptive_step.py */
-static const double DELAYED = 10.0;
+static const double JUMPED = 10.0;  /* delayed_jumps.py */
 static const double SAMPLED_TOLERANCE = 1e-3, MOST_AMPLIFIED = 200.0;  /* recording.py */
 
 /* `unresolved` of Session and OutputGrid: above 1, the step to `end`, which has been made, is too long
@@ -129,13 +129,6 @@ static void shorten(Memory *memory, double length, double scaled, int order) {
     memory->rejected = 1;
 }
 
-/* Whether a jump in the step that is next may come from the one before it, which is for Python to see. */
-static int may_be_due(const Plan *plan, const Memory *memory) {
-    const State *state = &memory->state;
-    if (!memory->rejected || isinf(plan->longest_at_rest) || state->n_times < 2) return 0;
-    return state->times[state->n_times - 1] - state->times[state->n_times - 2] > DELAYED * memory->step;
-}
-
 /* One step from `time`, to *end: tried until its error is below the tolerance. On UNUSUAL it is for
    Python to make. */
 static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *states, double time,
@@ -144,8 +137,9 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
     if (save(loop)) return REFUSED;
     const long saving = loop->calls - before_saving;
     memory->refused_length = 0.0;
+    const int delays = !isinf(plan->longest_at_rest) && (plan->halves || plan->shortest_kept > 0.0);
     for (;;) {
-        if (may_be_due(plan, memory)) {
+        if (memory->rejected && delays) {
             loop->calls -= saving;  /* which is done, and counted, once more */
             return UNUSUAL;
         }
@@ -169,8 +163,14 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
         const double share = SMALLEST_SHARE * plan->horizon;
         const int smallest = length <= (rounding > share ? rounding : share);
         int accepted = fits && scaled <= 1.0;
+        /* A jump that the error does not show is for Python to locate. */
+        const int jumps = fits && plan->halves && delays
+            && ((accepted && memory->jump > JUMPED * plan->tolerance)
+                || memory->kink > JUMPED * plan->tolerance);
         const int kept = code == DONE && !accepted && length <= plan->shortest_kept;
-        if (accepted) {
+        if (jumps) {
+            accepted = 0;
+        } else if (accepted) {
             lengthen(plan, memory, length, scaled, trial.order);
         } else if (code == DONE && !fits && !smallest && !kept && plan->halves) {
             accepted = memory->refused_length > 0.0 && is_floor(memory, length, plan->tolerance);
@@ -192,7 +192,7 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
             return DONE;
         }
         if (restore(loop)) return REFUSED;
-        if (code != DONE || kept || (!fits && smallest)) {
+        if (code != DONE || jumps || kept || (!fits && smallest)) {
             loop->calls = calls - saving;  /* which are made, and counted, once more */
             loop->passes = passes;
             return UNUSUAL;

@@ -3,7 +3,8 @@
    on = t >= 0.3337, count = floor(10 t). With `fault` 1 the derivative of z is no number; with 2 the FMU
    refuses steps that do not begin where the last one ended, and saved states are without its time;
    with 3, s is 1 from t = 3.3 to 4.3 and otherwise 0; with 4, s is a relay with hysteresis, which looks
-   at u when a step begins: 1 until u > 0.1, then -1 until u < -0.1. */
+   at u when a step begins: 1 until u > 0.1, then -1 until u < -0.1; with 5, x falls from 1 with an
+   acceleration of 9.81, and bounces with 0.8 of its speed when a step begins at or below 0. */
 
 #include <math.h>
 #include <stdlib.h>
@@ -15,7 +16,7 @@
 enum { U, X, S, HELD, Z, SLOPE, A, W, FAULT, COUNT };
 
 typedef struct {
-    double v[COUNT], x, t;
+    double v[COUNT], x, t, speed;
     int switched, level, lowers;
     double *ended;
 } Model;
@@ -66,7 +67,11 @@ fmi2Status fmi2GetReal(fmi2Component c, const fmi2ValueReference r[], size_t n, 
 
 fmi2Status fmi2SetReal(fmi2Component c, const fmi2ValueReference r[], size_t n,
                        const fmi2Real value[]) {
-    for (size_t i = 0; i < n; i++) ((Model *)c)->v[r[i]] = value[i];
+    Model *m = c;
+    for (size_t i = 0; i < n; i++) {
+        m->v[r[i]] = value[i];
+        if (r[i] == FAULT && value[i] == 5) m->x = 1.0;
+    }
     return fmi2OK;
 }
 
@@ -100,7 +105,12 @@ fmi2Status fmi2DoStep(fmi2Component c, fmi2Real t, fmi2Real h, fmi2Boolean no) {
     *m->ended = t + h;
     if (fabs(m->v[U]) > 0.1) m->lowers = m->v[U] > 0.1;
     double a = m->v[A], b = m->v[U] + m->switched + m->level;
-    m->x = exp(a * h) * m->x + (a == 0 ? h : expm1(a * h) / a) * b;
+    if (m->v[FAULT] == 5) {
+        const double g = 9.81;
+        if (m->x <= 0 && m->speed < 0) m->speed *= -0.8;
+        m->x += h * (m->speed - g * h / 2.0);
+        m->speed -= g * h;
+    } else m->x = exp(a * h) * m->x + (a == 0 ? h : expm1(a * h) / a) * b;
     m->t = t + h;
     return fmi2OK;
 }
