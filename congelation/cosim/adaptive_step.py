@@ -334,12 +334,12 @@ def fitting_step(
     if rules.takes_back:
         ensemble.save()
     before = ensemble.Y[ensemble.source]
-    delayed = None
+    delayed = None if _may_delay(session, rules, run) else 0.0
     while True:
         if delayed is None and run.size.rejected:
             delayed = _delayed(session, rules, run)
         tried = _tried(session, rules, run, target, before)
-        kinked = rules.halves and tried.fits and run.halving.kink > JUMPED * rules.tolerance
+        kinked = tried.fits and run.halving.kink > JUMPED * rules.tolerance
         if kinked and delayed is None:
             ensemble.restore()
             delayed = _delayed(session, rules, run)
@@ -357,15 +357,18 @@ def fitting_step(
         session.rejected += 1
 
 
+def _may_delay(session: Session, rules: Rules, run: RunState) -> bool:
+    """Whether jumps may come late, and slopes are known, which they are not right after a jump."""
+    assert isinstance(session.stepper, AdaptiveStepper)
+    return rules.delays and len(session.stepper.points(run.coupling).times) > 1
+
+
 def _delayed(session: Session, rules: Rules, run: RunState) -> float:
     """What it makes of the links that the step before has delayed a jump at the start of this one;
     0 where it has not."""
     stepper = session.stepper
     assert isinstance(stepper, AdaptiveStepper)
-    points = stepper.points(run.coupling)
-    if not rules.delays or len(points.times) < 2:
-        return 0.0
-    last, at_once = points.distance(1), rules.shortest * AT_ONCE
+    last, at_once = stepper.points(run.coupling).distance(1), rules.shortest * AT_ONCE
     if last <= DELAYED * rules.shortest:
         return 0.0
     return jump_ahead(session, run.coupling, run.time, at_once, last, rules.tolerance)
@@ -402,7 +405,7 @@ def _tried(session: Session, rules: Rules, run: RunState, target: float, before:
 
 def _jumps(session: Session, rules: Rules, run: RunState, state: Any, end: float) -> bool:
     """Whether a step has a jump in it that its error does not show, or one follows."""
-    if rules.halves and rules.delays and run.halving.jump > JUMPED * rules.tolerance:
+    if run.halving.jump > JUMPED * rules.tolerance and _may_delay(session, rules, run):
         return True
     length = end - run.time
     return run.looks_ahead and bool(
@@ -495,7 +498,9 @@ def take(
         jumps = run.looks_ahead and jumped(session, run.coupling, tried.length, rules.tolerance)
     if rules.halves:
         run.halving = run.halving.accepted(ensemble.Y[ensemble.judged])
-    if rules.predicts:
+    # Right after a jump that was located, no slope is known, and the step says nothing of others.
+    known = not run.looks_ahead or len(stepper.points(run.coupling).times) > 1
+    if rules.predicts and known:
         now = ensemble.Y[ensemble.source]
         run.pace = run.pace.followed(tried.predicted, tried.lag, run.time, tried.length, now)
     begin, run.time, run.coupling = run.time, end, state

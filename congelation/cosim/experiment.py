@@ -54,6 +54,9 @@ GRID_SHARE = 1e-3
 """Largest part of a step that counts as rounding."""
 
 
+SMALLEST_TOLERANCE = 1e-15
+"""No smaller one is taken: rounding errors are larger."""
+
 _NUMBERS = ("start_time", "stop_time", "step", "tolerance", "slave_tolerance", "output_interval")
 
 
@@ -128,8 +131,11 @@ class Experiment:
             raise InvalidInput(f"stop_time {stop:g} must be finite and after start_time {start:g}")
         if self.step is None and self.tolerance is None:
             raise InvalidInput("give a communication step or a tolerance")
-        if self.tolerance is not None and not 0.0 < self.tolerance < 1.0:
-            raise InvalidInput(f"tolerance {self.tolerance:g} must lie between 0 and 1")
+        if self.tolerance is not None and not SMALLEST_TOLERANCE <= self.tolerance < 1.0:
+            raise InvalidInput(
+                f"tolerance {self.tolerance:g} must lie between 0 and 1, and be "
+                f"{SMALLEST_TOLERANCE:g} at least"
+            )
         if self.slave_tolerance is not None and not self.slave_tolerance > 0.0:
             raise InvalidInput(f"slave_tolerance {self.slave_tolerance:g} must be positive")
         for name in ("output_every", "max_steps"):

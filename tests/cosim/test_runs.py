@@ -292,6 +292,7 @@ def test_progress_goes_from_the_start_to_one(loop):
         ({"stop_time": 1.0, "step": 0.1, "options": "x"}, "options = 'x' is not valid"),
         ({"stop_time": 1.0, "step": 0.1, "slave_tolerance": -1.0}, "slave_tolerance -1 must be"),
         ({"stop_time": 1.0, "tolerance": 0.0}, "must lie between 0 and 1"),
+        ({"stop_time": 1.0, "tolerance": 1e-150}, "1e-15 at least"),
         ({"stop_time": 1.0, "step": 0.1, "coupling": "jakobi"}, "did you mean 'jacobi'"),
         (
             {"stop_time": 1.0, "step": 0.1, "coupling": "hermite", "options": {"iteration": 2}},

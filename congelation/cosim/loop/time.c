@@ -137,7 +137,8 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
     if (save(loop)) return REFUSED;
     const long saving = loop->calls - before_saving;
     memory->refused_length = 0.0;
-    const int delays = !isinf(plan->longest_at_rest) && (plan->halves || plan->shortest_kept > 0.0);
+    const int delays = !isinf(plan->longest_at_rest) && (plan->halves || plan->shortest_kept > 0.0)
+                    && memory->state.n_times > 1;
     for (;;) {
         if (memory->rejected && delays) {
             loop->calls -= saving;  /* which is done, and counted, once more */
