@@ -16,7 +16,7 @@ from typing import Annotated, NoReturn, TextIO
 
 import typer
 
-from congelation.cli.shared import BAD_INPUT, EXIT_CODES, FAILED, complain, interruptible
+from congelation.cli.shared import BAD_INPUT, EXIT_CODES, FAILED, UNREAD, complain, interruptible
 from congelation.errors import CongelationError, InvalidInput
 from congelation.results.identity import code_version
 
@@ -112,6 +112,11 @@ def main(arguments: Sequence[str] | None = None, ready: Callable[[], None] = lam
         finally:
             if sys.stdout is not None:  # closed by who started this process
                 sys.stdout.flush()
+    except SystemExit as ended:
+        # What Typer and Rich make of a closed pipe is exit code 1, that of a failed run.
+        if isinstance(ended.__context__, BrokenPipeError):
+            _end_unread(sys.stdout)
+        raise
     except OSError as error:
         if error.errno == errno.EPIPE:
             _end_unread(sys.stdout)
@@ -126,12 +131,17 @@ def main(arguments: Sequence[str] | None = None, ready: Callable[[], None] = lam
 
 
 def _end_unread(stream: TextIO, complaint: str | None = None) -> NoReturn:
-    """End where what is printed can go nowhere: the reader has enough (``| head``), a full disk."""
+    """End where what is printed can go nowhere.
+
+    A full disk is complained of. Where the reader has enough (``| head``), nothing is said, and the
+    exit code is that with which shells report other programs, which end by SIGPIPE then.
+    """
     # What is left in the buffer would be tried again, and complained of, at the end of Python.
     if isinstance(stream, io.TextIOWrapper):
         os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
-    if complaint is not None:
-        complain(complaint)
+    if complaint is None:
+        sys.exit(UNREAD)
+    complain(complaint)
     sys.exit(FAILED)
 
 

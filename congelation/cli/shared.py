@@ -9,6 +9,7 @@ import json
 import math
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, ParamSpec, TypeVar
 
@@ -28,6 +29,7 @@ __all__ = [
     "EXIT_CODES",
     "FAILED",
     "INTERRUPTED",
+    "UNREAD",
     "VIOLATED",
     "as_status",
     "complain",
@@ -38,7 +40,7 @@ __all__ = [
     "print_table",
 ]
 
-DONE, FAILED, BAD_INPUT, VIOLATED, INTERRUPTED = 0, 1, 2, 3, 130
+DONE, FAILED, BAD_INPUT, VIOLATED, INTERRUPTED, UNREAD = 0, 1, 2, 3, 130, 141
 
 EXIT_CODES: Mapping[int, str] = {
     DONE: "done",
@@ -46,6 +48,7 @@ EXIT_CODES: Mapping[int, str] = {
     BAD_INPUT: "the input or the usage is wrong",
     VIOLATED: "a certificate is violated, or an assumption of its theorem is broken",
     INTERRUPTED: "interrupted",
+    UNREAD: "nobody reads the output any more, as behind `| head`",
 }
 """What the exit codes mean: the same for every command."""
 
@@ -58,7 +61,8 @@ LABEL_WIDTH, COLUMN_WIDTH = 28, 16
 
 def complain(text: str) -> None:
     """One line on stderr."""
-    print(f"congelation: {one_line(text)}", file=sys.stderr)
+    with suppress(BrokenPipeError):  # nobody reads it; the exit code says enough
+        print(f"congelation: {one_line(text)}", file=sys.stderr)
 
 
 def interruptible(

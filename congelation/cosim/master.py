@@ -225,6 +225,10 @@ def perform(
                 message = " ".join([message, *session.ensemble.strays.values(), *renewed])
         except SlaveError as error:
             status, message = Status.SLAVE_FAILED, str(error)
+    if status is Status.COMPLETED and experiment.tolerance is not None and not exchange:
+        peaks = dict(zip(names, recorders[0].peaks[1:].tolist(), strict=True))
+        faint = _faint(resolved, peaks, outputs[0], experiment, experiment.tolerance)
+        message = " ".join(filter(None, [message, faint]))
     if os.getcwd() != folder:
         os.chdir(folder)  # an FMU had left it, which would move what the caller writes next
     last = recorders[0].last.reshape(-1, 1 + len(names))
@@ -232,6 +236,48 @@ def perform(
     return Result(
         status, message, table[:, 0], names, table[:, 1:], statistics, None, coupling.name
     )
+
+
+def _faint(
+    system: ResolvedSystem,
+    peaks: Mapping[str, float],
+    output: Output,
+    experiment: Experiment,
+    tolerance: float,
+) -> str:
+    """That all connected values are too small for the tolerance to mean anything; empty where they
+    are not, or where too few rows of them were recorded to be certain.
+
+    An error is relative to nominal value plus size, so that one as large as the value itself is
+    admitted where the value stays below the nominal value times the tolerance.
+    """
+    interval, horizon = output.interval or 0.0, experiment.stop_time - experiment.start_time
+    if output.every > 1 or interval > CERTAIN * horizon:
+        return ""
+    shares = []
+    for link in system.links:
+        name = link.name.partition(" -> ")[0]
+        if name not in peaks:
+            return ""
+        shares.append((peaks[name] / link.output.nominal, name))
+    share, name = max(shares, default=(0.0, ""))
+    if not ROUNDING < share < tolerance:
+        return ""
+    smaller = tolerance * share
+    return (
+        "Every connected value stays below tolerance x nominal value, so that errors as large as "
+        f"the values are admitted ({name} is the largest, {peaks[name]:.2g} at most): let the FMUs "
+        "state the size of their outputs as 'nominal'"
+        + (f", or give a tolerance below {smaller:.0e}." if smaller > ROUNDING else ".")
+    )
+
+
+ROUNDING = 1e-13
+"""Values below so many nominal values may be the rounding errors of a system at rest."""
+
+CERTAIN = 1e-2
+"""Longest interval of recorded rows, as a part of the horizon, whose peaks are taken for those of
+the run."""
 
 
 def _set_up(

@@ -127,6 +127,8 @@ class Recorder:
     ----------
     last : array, shape (1 + M,) or (0,)
         The newest row that was handed over; empty before the first.
+    peaks : array, shape (1 + M,)
+        The largest size of each number in the rows that were handed over.
     """
 
     def __init__(self, columns: Sequence[str], sink: Sink) -> None:
@@ -134,6 +136,7 @@ class Recorder:
         self._rows = 0
         self._block = np.empty((BLOCK_ROWS, 1 + len(columns)))
         self.last: Floats = np.empty(0)
+        self.peaks: Floats = np.zeros(1 + len(columns))
         sink.open(["time", *columns])
 
     def row(self, time: float) -> Floats:
@@ -174,5 +177,6 @@ class Recorder:
         block = self._block[: self._rows]
         if len(block):
             self.last = block[-1].copy()
+            self.peaks = np.maximum(self.peaks, np.abs(block).max(axis=0))
             self._sink.write(block)
         self._rows = 0

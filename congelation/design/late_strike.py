@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import casadi as ca
@@ -20,7 +20,7 @@ import scipy
 from numpy.typing import NDArray
 
 from congelation.design.attack_problem import Problem
-from congelation.design.search import Candidate, Search
+from congelation.design.search import Search
 from congelation.design.shooting import Cells, Path, Shooting
 from congelation.theory.closed_loop import Compiled
 
@@ -52,17 +52,39 @@ SWITCHING = (0.02, 0.05, 0.1, 0.2, 0.5, 1.0)
 
 @dataclass(frozen=True)
 class Strike:
-    """A theta(t) that lets the loop settle until `time`, in seconds, and then strikes.
+    """A theta(t) that lets the loop settle, and then strikes.
 
-    `value` is max |v| from then on; `growth` the rate, in 1/s, at which the loop with the estimates
-    that it had then grows: not positive where no growth was found.
+    Attributes
+    ----------
+    value : float
+        max |v| from the strike on.
+    settled, burst : Cells
+        theta(t) until the strike, and from then on.
+    state : ndarray
+        The loop's states at the strike.
+    path : Path
+        From then on.
+    growth : float
+        Rate, in 1/s, at which the loop with the estimates that it had then grows: not positive
+        where no growth was found.
     """
 
     value: float
-    cells: Cells
+    settled: Cells
+    burst: Cells
+    state: Floats
     path: Path
-    time: float
     growth: float
+
+    @property
+    def cells(self) -> Cells:
+        """theta(t) from the start."""
+        return self.settled.then(self.burst)
+
+    @property
+    def time(self) -> float:
+        """When theta(t) strikes, in seconds."""
+        return float(self.burst.edges[0])
 
 
 class _Frozen:
@@ -116,32 +138,26 @@ class _Frozen:
         return [best, two] if two[0] > best[0] + 1e-3 * abs(best[0]) else [best]
 
 
-@dataclass(frozen=True)
-class _Settled:
-    """A theta(t) under which the loop has settled by its end."""
+class _Settling:
+    """The loop of a problem, brought to rest and struck."""
 
-    cells: Cells
-    path: Path
-
-
-class _Stage:
     def __init__(self, problem: Problem, shooting: Shooting) -> None:
         self.problem, self.shooting = problem, shooting
         start, stop = problem.span
         self.start, self.length = start, stop - start
 
     @cached_property
-    def settling(self) -> list[Cells]:
+    def candidates(self) -> list[Cells]:
         """theta(t) to settle under: the scenario's own, and constants."""
         end = self.start + REST * self.length
         own = self.problem.own_profile(end, self.length / OWN_CELLS)
         edges = np.array([self.start, end])
         return [own, *(Cells(edges, theta[None, :]) for theta in self.problem.admissible.lattice)]
 
-    def settled(self) -> list[_Settled]:
+    def settled(self) -> list[Cells]:
         """Each of these up to when the loop has settled under it, and up to the end."""
         found = []
-        for cells in self.settling:
+        for cells in self.candidates:
             path = self.shooting.solve(self.problem.start, cells)
             outside = np.flatnonzero(path.size > SETTLED**2)
             last = int(outside[-1]) + 1 if outside.size else 0
@@ -154,12 +170,12 @@ class _Stage:
             if first < self.start + self.length:
                 ends.add(self.start + self.length)
             for end in sorted(ends):
-                found.append(_Settled(cells.until(end), path))
+                found.append(cells.until(end))
         return found
 
-    def strike(self, settled: _Settled, thetas: Floats, durations: Floats) -> Cells:
+    def strike(self, settled: Cells, thetas: Floats, durations: Floats) -> Cells:
         """theta(t) of the strike, for a span of the scenario."""
-        start = float(settled.cells.edges[-1])
+        start = float(settled.edges[-1])
         edges, k = [start], 0
         while edges[-1] < start + self.length:
             edges.append(min(edges[-1] + float(durations[k % len(durations)]), start + self.length))
@@ -188,50 +204,40 @@ def strikes(
     progress : callable
         As in `Search`.
     """
-    stage, frozen = _Stage(problem, shooting), _Frozen(problem)
+    settling, frozen = _Settling(problem, shooting), _Frozen(problem)
     ranked = []
-    for settled in stage.settled():
-        state = _at(shooting, problem.start, settled)
-        for rate, thetas, durations in frozen.growth(state, stage.length):
+    for settled in settling.settled():
+        state: Floats = shooting.solve(problem.start, settled).states[-1, :-1]
+        for rate, thetas, durations in frozen.growth(state, settling.length):
             ranked.append((rate, settled, state, thetas, durations))
     ranked.sort(key=lambda one: -one[0])
-    tried: list[tuple[Strike, Floats, Cells]] = []
+    tried: list[Strike] = []
     for rate, settled, state, thetas, durations in ranked[:STRUCK]:
-        cells = stage.strike(settled, thetas, durations)
-        path = shooting.solve(state, cells)
-        time = float(cells.edges[0])
-        tried.append((Strike(path.peak, settled.cells.then(cells), path, time, rate), state, cells))
-        progress(0.3 * len(tried) / STRUCK, max(s.value for s, _, _ in tried))
+        burst = settling.strike(settled, thetas, durations)
+        path = shooting.solve(state, burst)
+        tried.append(Strike(path.peak, settled, burst, state, path, rate))
+        progress(0.3 * len(tried) / STRUCK, max(strike.value for strike in tried))
     if not tried:
         return []
-    tried.sort(key=lambda one: -one[0].value)
+    tried.sort(key=lambda strike: -strike.value)
     # An early strike meets a larger state, which tolerances disturb less.
-    near = [one for one in tried if one[0].value >= NEAR * tried[0][0].value]
-    best, state, cells = min(near, key=lambda one: one[0].time)
+    near = [strike for strike in tried if strike.value >= NEAR * tried[0].value]
+    best = min(near, key=lambda strike: strike.time)
     if best.growth <= 0.0:
-        return [s for s, _, _ in tried]
-    span = (best.time, best.time + stage.length)
+        return tried
+    span = (best.time, best.time + settling.length)
     search = Search(
         shooting,
         problem.admissible,
-        state,
+        best.state,
         span,
         peak=True,
         steps=steps,
         seed=seed,
         progress=lambda done, value: progress(0.3 + 0.7 * done, value),
     )
-    refined = [_joined(best, c) for c in search.run((cells,))]
-    return [*sorted(refined, key=lambda s: -s.value), *(s for s, _, _ in tried)]
-
-
-def _at(shooting: Shooting, start: Floats, settled: _Settled) -> Floats:
-    """The loop's states when it is struck."""
-    path: Path = shooting.solve(start, settled.cells)
-    state: Floats = path.states[-1, :-1]
-    return state
-
-
-def _joined(best: Strike, found: Candidate) -> Strike:
-    settled = best.cells.until(best.time)
-    return Strike(found.value, settled.then(found.cells), found.path, best.time, best.growth)
+    refined = [
+        replace(best, value=found.value, burst=found.cells, path=found.path)
+        for found in search.run((best.burst,))
+    ]
+    return [*sorted(refined, key=lambda strike: -strike.value), *tried]

@@ -70,18 +70,16 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
     sweep = None
     if "sweep" in document.data:
         sweep = read_sweep(top["sweep"], reader, {v.name: v.settings for v in variants})
-    given = {f"{c.name}.{name}" for c in components for name in c.start}
-    given |= {name for variant in variants for name in variant.settings}
-    given |= set(sweep.names()) if sweep is not None else set()
     varied = [name for variant in variants for name in variant.settings]
+    varied += () if sweep is None else sweep.names()
     _refuse_twins(document, "metrics", (spec.name for spec in metrics))
-    _refuse_twins(
-        document,
-        "sweep" if sweep else "variants",
-        (*varied, *(sweep.names() if sweep is not None else ())),
-    )
+    _refuse_twins(document, "sweep" if sweep else "variants", varied)
     left_open = document.attempt("open", partial(_open, resolved, reader.driven, top["open"]))
+    given = {f"{c.name}.{name}" for c in components for name in c.start} | {*varied}
+    known = {*left_open, *reader.driven}
+    doubtful = doubts(resolved, experiment, metrics, variants, sweep, given, known)
     described = [member.description for member in resolved.members]
+    stale = dict.fromkeys(outdated(d.path, d.sha256) for d in described)
     return {
         "title": top["title"],
         "system": system,
@@ -92,21 +90,7 @@ def read_scenario(document: Section, stem: str) -> dict[str, Any]:
         "sweep": sweep,
         "open": top["open"],
         "measured": measured,
-        "warnings": tuple(
-            f"{document.file}: {doubt}"
-            for doubt in (
-                *doubts(
-                    resolved,
-                    experiment,
-                    metrics,
-                    variants,
-                    sweep,
-                    given,
-                    {*left_open, *reader.driven},
-                ),
-                *filter(None, dict.fromkeys(outdated(d.path, d.sha256) for d in described)),
-            )
-        ),
+        "warnings": tuple(f"{document.file}: {line}" for line in (*doubtful, *stale) if line),
     }
 
 

@@ -22,18 +22,11 @@ from congelation.cosim.system import System
 from congelation.errors import CongelationError, InvalidInput
 from congelation.export.interface import start_names
 from congelation.results.record import Trajectory
-from congelation.scenario.parts import Case, Experiment, Scalar
+from congelation.scenario.parts import Case, Experiment
 from congelation.signals import Profile, Segment
 from congelation.theory.closed_loop import ClosedLoop, SmoothPiece, Source, close
 from congelation.theory.model import Model, Output, Variables
-from congelation.verify.loop_parts import (
-    block_model,
-    driven_by,
-    loop_members,
-    loop_models,
-    start_values_of,
-    theta_of,
-)
+from congelation.verify.loop_parts import driven_by, loop_parts, theta_of
 
 __all__ = [
     "LARGEST_DEVIATION",
@@ -170,7 +163,7 @@ class Reference:
         A law with damping against disturbances promises something for each of them.
         """
         plant, sources = self.loop.plant, []
-        names = [n for i in plant.inputs if i.source == "disturbance" for n in i.variables.names]
+        names = _disturbances(plant)
         if names and not disturbed and not {"epsilon_d", "q_d"} & self.loop.values.keys():
             sources = [_constant(dict.fromkeys(names, 0.0))]
         return close(plant, self.loop.controller, self.loop.values, sources)
@@ -196,50 +189,35 @@ def reference(case: Case) -> Reference:
         If the system is no loop of a plant and its controller, both from `congelation build`, and
         maybe of a Reference that the controller follows.
     """
-    plant, controller, blocks = loop_members(case.system)
-    models = loop_models(plant, controller)
-    members = (plant, controller, *blocks)
-    values = {component.name: start_values_of(component) for component in members}
-    links = driven_by(case.system, plant, controller, blocks, models)
-    sources = [
-        Source(model, _parameters(model, values[block.name]), links[block.name])
-        for block in blocks
-        for model in (block_model(block),)
-    ]
+    plant, controller, blocks = loop_parts(case.system)
+    links = driven_by(case.system, plant, controller, blocks)
+    sources = [Source(block.model, block.parameters, links[block.name]) for block in blocks]
     # What no block drives is held at its start value.
-    driven = {name for block in blocks for name in links[block.name]}
+    driven = {name for given in links.values() for name in given}
     held = {
-        name: float(values[component.name][name])
-        for component, model in zip((plant, controller), models, strict=True)
-        for entry in model.inputs
+        name: float(part.values[name])
+        for part in (plant, controller)
+        for entry in part.model.inputs
         if entry.source != "loop"
         for name in entry.variables.names
         if name not in driven
     }
     if held:
         sources.append(_constant(held))
-    loop = close(*models, _parameters(models[1], values[controller.name]), sources)
-    derived = (*models, *(source.model for source in sources[: len(blocks)]))
+    loop = close(plant.model, controller.model, controller.parameters, sources)
     states = {
-        state.variables.name: [
-            float(values[c.name][name]) for name in start_names(state, c is plant)
-        ]
-        for c, model in zip(members, derived, strict=True)
-        for state in model.states
+        state.variables.name: [float(part.values[n]) for n in start_names(state, part is plant)]
+        for part in (plant, controller, *blocks)
+        for state in part.model.states
     }
-    profiles, offsets = theta_of(values[plant.name])
-    signals = [p for block in blocks for p in theta_of(values[block.name])[0]]
-    disturbed = any(
-        name in driven or held[name] != 0
-        for entry in models[0].inputs
-        if entry.source == "disturbance"
-        for name in entry.variables.names
-    )
+    profiles, offsets = theta_of(plant.values)
+    signals = [p for block in blocks for p in theta_of(block.values)[0]]
+    disturbances = _disturbances(plant.model)
     return Reference(
         plant.name,
         controller.name,
         tuple(block.name for block in blocks),
-        disturbed,
+        any(name in driven or held[name] != 0 for name in disturbances),
         loop,
         tuple(profiles),
         tuple(offsets),
@@ -251,6 +229,12 @@ def reference(case: Case) -> Reference:
         ),
         loop.start(states),
     )
+
+
+def _disturbances(plant: Model) -> list[str]:
+    """The elements of inputs by which a plant is disturbed."""
+    inputs = [entry for entry in plant.inputs if entry.source == "disturbance"]
+    return [name for entry in inputs for name in entry.variables.names]
 
 
 def _constant(values: Mapping[str, float]) -> Source:
@@ -325,13 +309,6 @@ def _deviations(
         for k, column in enumerate(columns)
         if column in exact
     )
-
-
-def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]:
-    return {
-        p.variables.name: np.array([float(values[n]) for n in p.variables.names])
-        for p in model.parameters
-    }
 
 
 def smooth_pieces(

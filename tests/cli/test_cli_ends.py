@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -12,12 +13,16 @@ import sys
 import threading
 import time
 import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from functools import partial
 from pathlib import Path
+from typing import TextIO
 
 import pyarrow.parquet
 import pytest
 
+from congelation.cli import main
 from congelation.results.results import open_results
 from congelation.sweep.local import Local
 from tests.cosim.c_fmus import SOURCES, plain_fmu
@@ -41,10 +46,19 @@ def test_a_full_disk_behind_the_output_is_one_line() -> None:
     assert done.stderr == ("congelation: the output cannot be written: No space left on device\n")
 
 
-def test_a_reader_that_has_enough_gets_no_traceback() -> None:
+@contextmanager
+def unread() -> Iterator[TextIO]:
+    """A pipe that nobody reads."""
     read, written = os.pipe()
     os.close(read)
-    with os.fdopen(written, "w") as pipe:
+    stream = os.fdopen(written, "w")
+    yield stream
+    with suppress(BrokenPipeError):  # of what is left in its buffer
+        stream.close()
+
+
+def test_a_reader_that_has_enough_gets_no_traceback() -> None:
+    with unread() as pipe:
         done = subprocess.run(
             [*COMMAND, "info", FMUS / "ScalarPlant.fmu"],
             stdout=pipe,
@@ -52,7 +66,43 @@ def test_a_reader_that_has_enough_gets_no_traceback() -> None:
             text=True,
             env=environment(),
         )
-    assert done.stderr == ""
+    assert (done.returncode, done.stderr) == (141, "")
+
+
+def test_what_prints_ends_quietly_where_nobody_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Exit code 1 would be that of a failed run, 3 that of a violated certificate."""
+    monkeypatch.chdir(tmp_path)
+    file, out = write(tmp_path), tmp_path / "out"
+    assert congelation("run", file, "--out", out).returncode == 0
+    plant = FMUS / "ScalarPlant.fmu"
+    for words in (
+        ("--help",),
+        ("run", "--help"),
+        ("run", file, "--out", out, "--progress", "quiet"),
+        ("ls", out),
+        ("ls", out, "--json"),
+        ("show", out, rows(out)[0]["run_id"]),
+        ("report", out),
+        ("export", out, "--csv", tmp_path / "csv"),
+        ("info", plant),
+        ("info", plant, "--json"),
+        ("certify", ROOT / "specs" / "scalar.toml", "--samples", 20),
+        ("schema", "scenario"),
+        ("check", plant, "--static", "--table"),
+        ("examples", tmp_path / "copies"),
+        ("new", "servo"),
+    ):
+        errors = io.StringIO()
+        with (
+            unread() as pipe,
+            redirect_stdout(pipe),
+            redirect_stderr(errors),
+            pytest.raises(SystemExit) as ended,
+        ):
+            main([*map(str, words)])
+        assert (words, ended.value.code, errors.getvalue()) == (words, 141, "")
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii"])

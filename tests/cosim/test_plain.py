@@ -6,6 +6,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from congelation.cosim import Component, Connection, SlavePool, Status, System, simulate
+from congelation.cosim.recording import Output
 
 from .c_fmus import SOURCES, plain_fmu, truck_fmu
 from .monolithic import order
@@ -313,3 +314,36 @@ def test_what_helps_where_a_step_is_refused_without_a_reason(tmp_path, status, e
     system = System((Component("a", plain_fmu(tmp_path, source=tmp_path / "plain.c")),))
     result = simulate(system, stop_time=0.2, step=0.1, coupling="jacobi")
     assert result.message == f"a at t = 0: fmi2DoStep returned fmi2{status}{end}"
+
+
+@pytest.mark.parametrize(
+    ("size", "kwargs", "warns"),
+    [
+        (1e-6, {"tolerance": 1e-3, "coupling": "auto"}, True),
+        (1e-6, {"tolerance": 1e-3, "coupling": "hermite"}, True),
+        (-1e-12, {"tolerance": 1e-3, "coupling": "derivative"}, True),
+        (1e-6, {"tolerance": 1e-3, "output": Output(interval=0.1)}, True),
+        # Errors are resolved, the size is not known, or nothing moves.
+        (2e-3, {"tolerance": 1e-3}, False),
+        (1e-6, {"tolerance": 1e-9, "coupling": "hermite"}, False),
+        (1e-6, {"step": 0.01}, False),
+        (0.0, {"tolerance": 1e-3}, False),
+        (1e-6, {"tolerance": 1e-3, "record": ["p.y"]}, False),
+        (1e-6, {"tolerance": 1e-3, "output": Output(interval=1.0)}, False),
+    ],
+)
+def test_values_that_are_too_small_for_the_tolerance_are_named(fmus, size, kwargs, warns):
+    """An oscillator whose size no nominal value states, x'' = -x."""
+    parts = (
+        Component("p", fmus[1], {"x0": size, "b1": 1.0}),
+        Component("q", fmus[1], {"b1": -1.0}),
+    )
+    result = simulate(System(parts, ("p.y -> q.u1", "q.y -> p.u1")), stop_time=10.0, **kwargs)
+    assert result.completed
+    said = "Every connected value stays below tolerance x nominal value, so that errors as large"
+    assert (said in result.message) is warns
+    if size == 1e-6 and warns:
+        assert result.message.endswith("or give a tolerance below 1e-09.")
+    if not warns and kwargs.get("tolerance") == 1e-9:
+        exact = size * np.column_stack([np.cos(result.time), -np.sin(result.time)])
+        assert abs(result.values - exact).max() < 1e-2 * abs(size)
