@@ -20,7 +20,7 @@ from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.result import Result
 from congelation.cosim.system import System
-from congelation.design.attack_problem import Admissible, Varied
+from congelation.design.attack_problem import Admissible, Varied, chosen_variants
 from congelation.design.derivative_free import maximise
 from congelation.design.finds import DIFFERENCE, Attack, Find
 from congelation.design.found_scenario import driven
@@ -78,7 +78,8 @@ def attack_fmus(
     Raises
     ------
     InvalidInput
-        A variable or metric that there is not, bounds in the wrong order, an input that is driven.
+        A variable, metric or variant that there is not, bounds in the wrong order, an input that is
+        driven.
     """
     varied = [_varied(scenario, name, bounds) for name, bounds in vary.items()]
     if not varied:
@@ -94,13 +95,11 @@ def attack_fmus(
     finds: list[Find] = []
     missed: list[str] = []
     notes: list[str] = []
-    for variant in scenario.variants:
-        if variants is not None and variant.name not in variants:
-            continue
+    for variant in chosen_variants(scenario, variants):
         for name in objectives:
             with SlavePool() as pool, tempfile.TemporaryDirectory() as folder:
                 by_runs = _SearchByRuns(
-                    scenario, variant.name, varied, specs[name], source, pool, Path(folder)
+                    scenario, variant, varied, specs[name], source, pool, Path(folder)
                 )
                 found = by_runs.search(int(RUNS * effort), seed, progress)
             notes += by_runs.notes
