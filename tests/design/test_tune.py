@@ -23,7 +23,7 @@ SCALAR = ROOT / "specs" / "scalar.toml"
 
 @pytest.mark.slow
 def test_a_proposal_beats_the_papers_gains_in_settling_and_effort(tmp_path: Path) -> None:
-    found = tune(SPEC, evaluations=100, proposals=2, out=tmp_path / "tried")
+    found = tune(SPEC, evaluations=60, proposals=2, out=tmp_path / "tried")
     assert found.own.objectives["settling"] == pytest.approx(1.8, rel=0.01)
     assert found.own.objectives["effort"] == pytest.approx(2.0e4, rel=0.03)
     assert found.nearest.objectives["settling"] < 1.8
