@@ -71,9 +71,11 @@ def load(words: Sequence[str]) -> None:
 
 
 def _called(words: Sequence[str]) -> Iterable[str]:
-    """The command that is called; all of them where none is."""
+    """The command that is called; all of them where none is, but for the version."""
     called = next((word for word in words if not word.startswith("-")), "")
-    return [called] if called in _COMMANDS else _COMMANDS
+    if called in _COMMANDS:
+        return [called]
+    return () if "--version" in words else _COMMANDS
 
 
 def __getattr__(name: str) -> typer.Typer:

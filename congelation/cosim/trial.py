@@ -12,7 +12,6 @@ from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from congelation.cosim.abilities import (
     LENGTHS,
@@ -39,7 +38,6 @@ from congelation.fmi.slave import SlaveTerminated
 
 __all__ = ["Trial", "label"]
 
-Floats = npt.NDArray[np.float64]
 
 SHARE = 1e-3
 """Length of the steps that are tried, as a part of the horizon, if the experiment gives none."""

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 from congelation.arguments import checked
-from congelation.design.attack_problem import Problem, problem_of
+from congelation.design.attack_problem import Problem, chosen_variants, problem_of
 from congelation.design.derivative_free import maximise
 from congelation.design.finds import (
     DIFFERENCE,
@@ -100,15 +100,9 @@ def attack(
     require_count(workers, "workers")
     if not objectives:
         raise InvalidInput("objectives is empty; name what is to be maximised")
-    if variants is not None and not variants:
-        raise InvalidInput("variants is empty; leave it out for all")
     if not 0.0 < effort < math.inf:
         raise InvalidInput(f"effort = {effort} is not valid; give a positive number")
-    names = [v.name for v in scenario.variants]
-    for name in variants or ():
-        if name not in names:
-            raise InvalidInput(f"'{name}' is no variant; {nearest(name, names)}")
-    chosen = [n for n in names if variants is None or n in variants]
+    chosen = chosen_variants(scenario, variants)
     jobs = [
         _Job(scenario, v, _objective(scenario, o), effort, seed) for v in chosen for o in objectives
     ]

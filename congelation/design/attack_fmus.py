@@ -15,13 +15,12 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from congelation.cosim.master import simulate
 from congelation.cosim.pool import SlavePool
 from congelation.cosim.result import Result
 from congelation.cosim.system import System
-from congelation.design.attack_problem import Admissible, Varied
+from congelation.design.attack_problem import Admissible, Varied, chosen_variants
 from congelation.design.derivative_free import maximise
 from congelation.design.finds import DIFFERENCE, Attack, Find
 from congelation.design.found_scenario import driven
@@ -33,7 +32,6 @@ from congelation.scenario.scenario import Experiment, MetricSpec, Scenario
 
 __all__ = ["attack_fmus"]
 
-Floats = NDArray[np.float64]
 
 RUNS = 300
 """Runs of one search at effort 1."""
@@ -80,7 +78,8 @@ def attack_fmus(
     Raises
     ------
     InvalidInput
-        A variable or metric that there is not, bounds in the wrong order, an input that is driven.
+        A variable, metric or variant that there is not, bounds in the wrong order, an input that is
+        driven.
     """
     varied = [_varied(scenario, name, bounds) for name, bounds in vary.items()]
     if not varied:
@@ -96,14 +95,14 @@ def attack_fmus(
     finds: list[Find] = []
     missed: list[str] = []
     notes: list[str] = []
-    for variant in scenario.variants:
-        if variants is not None and variant.name not in variants:
-            continue
+    for variant in chosen_variants(scenario, variants):
         for name in objectives:
             with SlavePool() as pool, tempfile.TemporaryDirectory() as folder:
-                rig = _Rig(scenario, variant.name, varied, specs[name], source, pool, Path(folder))
-                found = rig.search(int(RUNS * effort), seed, progress)
-            notes += rig.notes
+                by_runs = _SearchByRuns(
+                    scenario, variant, varied, specs[name], source, pool, Path(folder)
+                )
+                found = by_runs.search(int(RUNS * effort), seed, progress)
+            notes += by_runs.notes
             if isinstance(found, Find):
                 finds.append(found)
             else:
@@ -111,7 +110,7 @@ def attack_fmus(
     return Attack(scenario, tuple(finds), tuple(missed), tuple(varied), source, tuple(notes))
 
 
-class _Rig:
+class _SearchByRuns:
     """One variant and metric, and the runs of a search."""
 
     def __init__(

@@ -23,7 +23,7 @@ from congelation.theory.closed_loop import ClosedLoop
 from congelation.verify.certify import certificate_of
 from congelation.verify.reference import Reference, reference
 
-__all__ = ["Admissible", "Problem", "Varied", "held", "problem_of"]
+__all__ = ["Admissible", "Problem", "Varied", "chosen_variants", "held", "problem_of"]
 
 Floats = NDArray[np.float64]
 
@@ -198,6 +198,25 @@ def held(profiles: Sequence[Profile], start: float, end: float, cell: float) -> 
     grid = grid[np.append(np.diff(grid) > 1e-6 * cell, True)]
     middles = (grid[:-1] + grid[1:]) / 2
     return Cells(grid, np.array([[p.value(t) for p in profiles] for t in middles]))
+
+
+def chosen_variants(scenario: Scenario, names: Sequence[str] | None) -> list[str]:
+    """The names of the variants to attack, in the scenario's order; None: of all.
+
+    Raises
+    ------
+    InvalidInput
+        No name, or one of no variant.
+    """
+    known = [variant.name for variant in scenario.variants]
+    if names is None:
+        return known
+    if not names:
+        raise InvalidInput("variants is empty; leave it out for all")
+    for name in names:
+        if name not in known:
+            raise InvalidInput(f"'{name}' is no variant; {nearest(name, known)}")
+    return [name for name in known if name in names]
 
 
 def problem_of(scenario: Scenario, variant: str) -> Problem:

@@ -138,7 +138,7 @@ class _Frozen:
         return [best, two] if two[0] > best[0] + 1e-3 * abs(best[0]) else [best]
 
 
-class _Stage:
+class _Settling:
     """The loop of a problem, brought to rest and struck."""
 
     def __init__(self, problem: Problem, shooting: Shooting) -> None:
@@ -147,7 +147,7 @@ class _Stage:
         self.start, self.length = start, stop - start
 
     @cached_property
-    def settling(self) -> list[Cells]:
+    def candidates(self) -> list[Cells]:
         """theta(t) to settle under: the scenario's own, and constants."""
         end = self.start + REST * self.length
         own = self.problem.own_profile(end, self.length / OWN_CELLS)
@@ -157,7 +157,7 @@ class _Stage:
     def settled(self) -> list[Cells]:
         """Each of these up to when the loop has settled under it, and up to the end."""
         found = []
-        for cells in self.settling:
+        for cells in self.candidates:
             path = self.shooting.solve(self.problem.start, cells)
             outside = np.flatnonzero(path.size > SETTLED**2)
             last = int(outside[-1]) + 1 if outside.size else 0
@@ -204,16 +204,16 @@ def strikes(
     progress : callable
         As in `Search`.
     """
-    stage, frozen = _Stage(problem, shooting), _Frozen(problem)
+    settling, frozen = _Settling(problem, shooting), _Frozen(problem)
     ranked = []
-    for settled in stage.settled():
+    for settled in settling.settled():
         state: Floats = shooting.solve(problem.start, settled).states[-1, :-1]
-        for rate, thetas, durations in frozen.growth(state, stage.length):
+        for rate, thetas, durations in frozen.growth(state, settling.length):
             ranked.append((rate, settled, state, thetas, durations))
     ranked.sort(key=lambda one: -one[0])
     tried: list[Strike] = []
     for rate, settled, state, thetas, durations in ranked[:STRUCK]:
-        burst = stage.strike(settled, thetas, durations)
+        burst = settling.strike(settled, thetas, durations)
         path = shooting.solve(state, burst)
         tried.append(Strike(path.peak, settled, burst, state, path, rate))
         progress(0.3 * len(tried) / STRUCK, max(strike.value for strike in tried))
@@ -225,7 +225,7 @@ def strikes(
     best = min(near, key=lambda strike: strike.time)
     if best.growth <= 0.0:
         return tried
-    span = (best.time, best.time + stage.length)
+    span = (best.time, best.time + settling.length)
     search = Search(
         shooting,
         problem.admissible,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from html import escape
 from pathlib import Path
@@ -19,7 +19,15 @@ from congelation.report.panels import controls, draw_panels
 from congelation.report.study_page import study_content
 from congelation.report.study_verdict import study_verdict
 from congelation.report.summary import metric_definitions, summarise
-from congelation.report.verdict import run_verdict, settling_rule, tiles
+from congelation.report.verdict import (
+    LISTED,
+    bursts,
+    metric_of_kind,
+    run_verdict,
+    settled,
+    settling_rule,
+    tiles,
+)
 from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.results.results import Results
 
@@ -70,7 +78,9 @@ def _run_page(results: Results, study: Study) -> str:
     drawn = [(variants.index(run.variant), trajectory) for run, trajectory in kept]
     plots, scales = draw_overlaid(drawn, variants, [study])
     peaks = {run.run_id: peak for run, recorded in kept if (peak := _peak_u(recorded)) is not None}
-    pieces: list[str | Drawn] = [*_head(study, run_verdict(study, peaks)), *_tiles(study, peaks)]
+    named = {f"the run of {run.variant}": recorded for run, recorded in kept[:SHOWN]}
+    verdict = (*run_verdict(study, peaks), *bursts(study, named))
+    pieces: list[str | Drawn] = [*_head(study, verdict), *_tiles(study, peaks)]
     pieces += plots
     pieces += system(study)
     pieces.append("<h2>Metrics</h2>")
@@ -132,7 +142,7 @@ def draw_overlaid(
 def _study_page(results: Results, study: Study) -> str:
     content, scales, data = study_content(results, study)
     pieces = [
-        *_head(study, study_verdict(study)),
+        *_head(study, (*study_verdict(study), *bursts(study, _latest(results, study)))),
         *content,
         *_definitions(study),
         *system(study),
@@ -144,7 +154,23 @@ def _study_page(results: Results, study: Study) -> str:
     return page(study.about["title"], pieces, state, ("report.js", "study.js"))
 
 
-def _head(study: Study, verdict: Iterator[str]) -> Iterator[str]:
+def _latest(results: Results, study: Study) -> dict[str, Trajectory]:
+    """Of each variant the run that settles last, which tells what delays it, if it was kept."""
+    name = metric_of_kind(study, "settling_time")
+    variants = dict.fromkeys(run.variant for run in study.records)
+    if name is None or len(variants) > LISTED:
+        return {}
+    found = {}
+    for variant in variants:
+        runs = [r for r in study.records if r.variant == variant and settled(study, r)]
+        last = max(runs, key=lambda run: run.metrics[name] or 0.0, default=None)
+        if last is not None and results.store.trajectory_file(last.run_id).is_file():
+            which = " that settles last" if len(runs) > 1 else ""
+            found[f"the run of {variant}{which}"] = results.store.trajectory(last.run_id)
+    return found
+
+
+def _head(study: Study, verdict: Iterable[str]) -> Iterator[str]:
     """Title, verdict and failures: what a reader sees first."""
     yield from opening(study.about["title"], verdict)
     if rule := settling_rule(study):

@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 _HEIGHT = 380  # pixels
+_BAND = 0.18  # opacity of the band of a variant
 
 
 def axis_labels(study: Study, axes: Iterable[str]) -> dict[str, str]:
@@ -77,10 +78,12 @@ def metric_section(
     from bokeh.models import ColumnDataSource
 
     plot = _plot("metric")
+    # Many bands over each other stay as light as two.
+    alpha = min(_BAND, 2 * _BAND / max(1, len(variants)))
     for k in range(len(variants)):
         empty: dict[str, list[float]] = {"x": [], "median": [], "low": [], "high": []}
         source = ColumnDataSource(empty, name=f"metric.line.{k}")
-        band = plot.varea("x", "low", "high", source=source, fill_alpha=0.18)
+        band = plot.varea("x", "low", "high", source=source, fill_alpha=alpha)
         line = plot.line("x", "median", source=source, line_width=2.5)
         band.tags = line.tags = [f"variant {k}"]
     _points(plot, "metric", len(variants))

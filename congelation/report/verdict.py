@@ -6,13 +6,16 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import numpy as np
+
 from congelation.report.summary import NOT_SETTLED, metric_value, number
 from congelation.results.labels import plain_unit
-from congelation.results.record import RunRecord, Study
+from congelation.results.record import RunRecord, Study, Trajectory
 
 __all__ = [
     "DEAR",
     "LISTED",
+    "bursts",
     "listed",
     "metric_of_kind",
     "multiple",
@@ -34,6 +37,9 @@ DEAR = 1.05
 
 ROUNDING = 1e-9
 """A margin of the certificate up to this is rounding (`congelation.scenario.metrics`)."""
+
+BURST = 10.0
+"""Of the bound below which a run settles: what rises above so many of it, once within, bursts."""
 
 _STOP_TIME = "experiment.stop_time"
 """The stop time as a setting that varies in a study."""
@@ -109,6 +115,36 @@ def _price(priced: Mapping[str, float]) -> Iterator[str]:
     others = [f"{variant} with one that is {multiple(ratio)} times" for ratio, variant in rest]
     peak = f"{first} pays with a peak of |u| that is {multiple(most)} times"
     yield f"{listed([peak, *others])} that of {cheapest}."
+
+
+def bursts(study: Study, runs: Mapping[str, Trajectory]) -> Iterator[str]:
+    """Sentences on runs that come to rest, and burst later.
+
+    Parameters
+    ----------
+    study : Study
+    runs : mapping of str to Trajectory
+        What a sentence calls each run, as in "the run of Controller 2", and what it recorded.
+    """
+    name = metric_of_kind(study, "settling_time")
+    about = study.about["metrics"][name] if name else {}
+    below = about.get("options", {}).get("below")
+    if below is None:
+        return
+    for called, recorded in runs.items():
+        columns = recorded.group(about["of"])
+        size = np.linalg.norm(recorded.select(columns), axis=1)
+        within = np.flatnonzero(size <= below)
+        if not columns or not within.size:
+            continue
+        first = int(within[0])
+        top = first + int(np.argmax(size[first:]))
+        if size[top] > BURST * below:
+            yield (
+                f"In {called}, |{about['of']}| falls below {below:g} at t = "
+                f"{number(recorded.time[first])} s, and bursts to {number(size[top])} at t = "
+                f"{number(recorded.time[top])} s."
+            )
 
 
 def tiles(study: Study, peaks: Mapping[str, float]) -> Iterator[tuple[str, list[tuple[str, str]]]]:

@@ -148,7 +148,7 @@ def _reach(address: str) -> None:
 # -- in the dask worker -----------------------------------------------------------------------
 
 
-class _Here:
+class _OwnProcess:
     """The worker process of a dask worker; its threads take turns."""
 
     lock: ClassVar = threading.Lock()
@@ -162,15 +162,15 @@ def _do(job: Job, files: Mapping[str, tuple[str, bytes]] | None, task: Task) -> 
         job, task = _unpacked(job, files, task)
     # Two calls for one study may differ in where its files are and its results go.
     key = (job.study, job.folder, *(c.fmu for c in job.scenario.system.components))
-    with _Here.lock:
-        if _Here.workers is None or _Here.job != key:
-            if _Here.workers is not None:
-                _Here.workers.stop()
-            _Here.workers, _Here.job = Local(), key
-            _Here.workers.start(job)
-        _Here.workers.submit([task])
+    with _OwnProcess.lock:
+        if _OwnProcess.workers is None or _OwnProcess.job != key:
+            if _OwnProcess.workers is not None:
+                _OwnProcess.workers.stop()
+            _OwnProcess.workers, _OwnProcess.job = Local(), key
+            _OwnProcess.workers.start(job)
+        _OwnProcess.workers.submit([task])
         while True:
-            for event in _Here.workers.events():
+            for event in _OwnProcess.workers.events():
                 if not isinstance(event, Progress | Remark):
                     return event
 

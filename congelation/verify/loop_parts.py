@@ -10,9 +10,11 @@ import itertools
 import json
 import zipfile
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
-import fmpy
+import numpy as np
+import numpy.typing as npt
 
 from congelation.cosim.system import Component, System
 from congelation.errors import InvalidInput
@@ -23,15 +25,9 @@ from congelation.scenario.parts import Scalar
 from congelation.signals import Profile
 from congelation.theory.model import Model
 
-__all__ = [
-    "block_model",
-    "driven_by",
-    "loop_members",
-    "loop_models",
-    "spec_of",
-    "start_values_of",
-    "theta_of",
-]
+__all__ = ["Part", "driven_by", "loop_parts", "spec_of", "start_values_of", "theta_of"]
+
+Floats = npt.NDArray[np.float64]
 
 _ROLES = ("plant", "controller")
 
@@ -55,7 +51,24 @@ def _required_spec(component: Component) -> dict[str, Any]:
     )
 
 
-def loop_members(system: System) -> tuple[Component, Component, tuple[Component, ...]]:
+@dataclass(frozen=True)
+class Part:
+    """A component of a loop: its model, derived anew, and the values that it starts with."""
+
+    name: str
+    model: Model
+    values: Mapping[str, Scalar]
+
+    @property
+    def parameters(self) -> dict[str, Floats]:
+        """The parameters of its model by name."""
+        return {
+            p.variables.name: np.array([float(self.values[n]) for n in p.variables.names])
+            for p in self.model.parameters
+        }
+
+
+def loop_parts(system: System) -> tuple[Part, Part, tuple[Part, ...]]:
     """The plant, the controller, and the blocks that a reference or a disturbance comes from."""
     about = {component.name: _required_spec(component) for component in system.components}
     roles = {about[component.name]["role"]: component for component in system.components}
@@ -68,32 +81,26 @@ def loop_members(system: System) -> tuple[Component, Component, tuple[Component,
             "a plant and its controller are needed, one Reference at most, and Disturbances, not "
             f"{names}"
         )
-    return roles["plant"], roles["controller"], tuple(blocks)
-
-
-def loop_models(plant: Component, controller: Component) -> tuple[Model, Model]:
-    """The models of a plant and its controller, derived anew."""
-    specs = [_required_spec(plant), _required_spec(controller)]
-    if not fit(*specs):
+    pair = [roles[role] for role in _ROLES]
+    plant, controller = (about[component.name] for component in pair)
+    if not fit(plant, controller):
         raise InvalidInput(
-            f"{plant.name} and {controller.name} are of different systems; take a plant and a "
+            f"{pair[0].name} and {pair[1].name} are of different systems; take a plant and a "
             "controller of one spec, or of specs that differ in the law alone"
         )
-    return models_of(specs[0]["form"], specs[0]["structure"], specs[1]["structure"])
-
-
-def block_model(block: Component) -> Model:
-    """The model of a block, derived anew."""
-    about = _required_spec(block)
-    return BLOCKS[about["form"]].model(about["structure"])
+    models = [*models_of(plant["form"], plant["structure"], controller["structure"])]
+    for block in blocks:
+        spec = about[block.name]
+        models.append(BLOCKS[spec["form"]].model(spec["structure"]))
+    first, second, *others = (
+        Part(component.name, model, start_values_of(component))
+        for component, model in zip([*pair, *blocks], models, strict=True)
+    )
+    return first, second, tuple(others)
 
 
 def driven_by(
-    system: System,
-    plant: Component,
-    controller: Component,
-    blocks: Sequence[Component],
-    models: tuple[Model, Model],
+    system: System, plant: Part, controller: Part, blocks: Sequence[Part]
 ) -> dict[str, dict[str, str]]:
     """The elements of inputs that each block drives, and the elements of outputs that drive them.
 
@@ -102,8 +109,8 @@ def driven_by(
     """
     wanted: set[str] = set()
     outside: dict[str, tuple[str, str]] = {}
-    for one, other, model in ((controller, plant, models[0]), (plant, controller, models[1])):
-        for entry in model.inputs:
+    for one, other in ((controller, plant), (plant, controller)):
+        for entry in other.model.inputs:
             names = entry.variables.names
             if entry.source == "loop":
                 wanted |= {f"{one.name}.{name} -> {other.name}.{name}" for name in names}
@@ -138,11 +145,13 @@ def driven_by(
 
 def start_values_of(component: Component) -> dict[str, Scalar]:
     """The value of every variable of an FMU that starts with one: given, or else its own."""
-    description = fmpy.read_model_description(str(component.fmu), validate=False)
+    description = describe(component.fmu)
     own = {
-        v.name: _typed(v.type, v.start) for v in description.modelVariables if v.start is not None
+        v.name: _typed(v.type, v.default)
+        for v in description.variables.values()
+        if v.default or v.type == "String"
     }
-    start = resolve_start(describe(component.fmu), component.start, f"component '{component.name}'")
+    start = resolve_start(description, component.start, f"component '{component.name}'")
     return {**own, **{item.variable.name: item.value for item in start}}
 
 

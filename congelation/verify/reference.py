@@ -22,18 +22,11 @@ from congelation.cosim.system import System
 from congelation.errors import CongelationError, InvalidInput
 from congelation.export.interface import start_names
 from congelation.results.record import Trajectory
-from congelation.scenario.parts import Case, Experiment, Scalar
+from congelation.scenario.parts import Case, Experiment
 from congelation.signals import Profile, Segment
 from congelation.theory.closed_loop import ClosedLoop, SmoothPiece, Source, close
 from congelation.theory.model import Model, Output, Variables
-from congelation.verify.loop_parts import (
-    block_model,
-    driven_by,
-    loop_members,
-    loop_models,
-    start_values_of,
-    theta_of,
-)
+from congelation.verify.loop_parts import driven_by, loop_parts, theta_of
 
 __all__ = [
     "LARGEST_DEVIATION",
@@ -196,37 +189,30 @@ def reference(case: Case) -> Reference:
         If the system is no loop of a plant and its controller, both from `congelation build`, and
         maybe of a Reference that the controller follows.
     """
-    plant, controller, blocks = loop_members(case.system)
-    models = loop_models(plant, controller)
-    members = (plant, controller, *blocks)
-    values = {component.name: start_values_of(component) for component in members}
-    links = driven_by(case.system, plant, controller, blocks, models)
-    derived = [block_model(block) for block in blocks]
-    sources = [
-        Source(model, _parameters(model, values[block.name]), links[block.name])
-        for block, model in zip(blocks, derived, strict=True)
-    ]
+    plant, controller, blocks = loop_parts(case.system)
+    links = driven_by(case.system, plant, controller, blocks)
+    sources = [Source(block.model, block.parameters, links[block.name]) for block in blocks]
     # What no block drives is held at its start value.
     driven = {name for given in links.values() for name in given}
     held = {
-        name: float(values[component.name][name])
-        for component, model in zip((plant, controller), models, strict=True)
-        for entry in model.inputs
+        name: float(part.values[name])
+        for part in (plant, controller)
+        for entry in part.model.inputs
         if entry.source != "loop"
         for name in entry.variables.names
         if name not in driven
     }
     if held:
         sources.append(_constant(held))
-    loop = close(*models, _parameters(models[1], values[controller.name]), sources)
+    loop = close(plant.model, controller.model, controller.parameters, sources)
     states = {
-        state.variables.name: [float(values[c.name][n]) for n in start_names(state, c is plant)]
-        for c, model in zip(members, (*models, *derived), strict=True)
-        for state in model.states
+        state.variables.name: [float(part.values[n]) for n in start_names(state, part is plant)]
+        for part in (plant, controller, *blocks)
+        for state in part.model.states
     }
-    profiles, offsets = theta_of(values[plant.name])
-    signals = [p for block in blocks for p in theta_of(values[block.name])[0]]
-    disturbances = _disturbances(models[0])
+    profiles, offsets = theta_of(plant.values)
+    signals = [p for block in blocks for p in theta_of(block.values)[0]]
+    disturbances = _disturbances(plant.model)
     return Reference(
         plant.name,
         controller.name,
@@ -323,13 +309,6 @@ def _deviations(
         for k, column in enumerate(columns)
         if column in exact
     )
-
-
-def _parameters(model: Model, values: Mapping[str, Scalar]) -> dict[str, Floats]:
-    return {
-        p.variables.name: np.array([float(values[n]) for n in p.variables.names])
-        for p in model.parameters
-    }
 
 
 def smooth_pieces(

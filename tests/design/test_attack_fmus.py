@@ -104,3 +104,9 @@ def test_what_cannot_be_varied_is_said(
 ) -> None:
     with pytest.raises(InvalidInput, match=message):
         attack_fmus(scenario, {name: bounds}, objectives=["peak_x"], source=SOURCE)
+
+
+def test_a_variant_that_there_is_not_is_named(scenario: Scenario) -> None:
+    vary, variants = {"plant.dtheta[1]": (0.0, 1.0)}, ["Controller 3"]
+    with pytest.raises(InvalidInput, match="'Controller 3' is no variant; did you mean"):
+        attack_fmus(scenario, vary, objectives=["peak_x"], variants=variants, source=SOURCE)

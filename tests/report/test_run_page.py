@@ -6,13 +6,15 @@ from dataclasses import replace
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from congelation.errors import CongelationError, InvalidInput
 from congelation.report.run_page import write_html
 from congelation.report.study_verdict import study_verdict
+from congelation.results.record import Trajectory
 from congelation.results.results import Results
-from tests.report.stored import stored, stored_failures, stored_study
+from tests.report.stored import record, results, stored, stored_failures, stored_study
 
 VOID = {"meta", "img", "br", "input"}
 
@@ -109,6 +111,28 @@ def test_a_variant_without_an_axis_is_compared_with_all_runs_of_the_other(tmp_pa
         "(median at equal settings; 25 to 50)."
     )
     assert said[0] == "Controller 1 settles in its only run, after 1 s."
+
+
+def test_pages_tell_of_the_burst_that_delays_a_run(tmp_path: Path) -> None:
+    """Of a study, in the run of each variant that settles last alone."""
+    time = np.arange(0.0, 10.0, 0.5)
+    x = np.where(time < 2.0, 1.0, np.where((time >= 6.0) & (time < 7.0), 0.5, 1e-3))
+    steady = Trajectory(time, ("plant.x[1]",), np.exp(-5 * time)[:, np.newaxis], {})
+    burst = Trajectory(time, ("plant.x[1]",), x[:, np.newaxis], {})
+    about = {"settling_x": {"metric": "settling_time", "of": "plant.x", "options": {"below": 0.01}}}
+    about["settling_x"] |= {"definition": "the last time", "unit": "s"}
+    runs = [
+        (record(f"r{k}", k, variant="A", settings={"plant.a": k}, metrics={"settling_x": end}), of)
+        for k, (end, of) in enumerate([(1.0, steady), (7.0, burst), (2.0, burst)])
+    ]
+    said = ", |plant.x| falls below 0.01 at t = 2 s, and bursts to 0.5 at t = 6 s."
+    swept = results(tmp_path / "s", runs, metrics=about, figures=[], swept=True)
+    text = page(swept, tmp_path / "s.html").text
+    assert f"In the run of A that settles last{said}" in text
+    assert text.count("and bursts to") == 1
+    alone = results(tmp_path / "r", runs[1:2], metrics=about, figures=[])
+    text = page(alone, tmp_path / "r.html").text
+    assert text.count(f"In the run of A{said}") == text.count("and bursts to") == 1
 
 
 def test_a_study_says_where_it_fails_and_what_it_costs(tmp_path: Path) -> None:

@@ -10,8 +10,8 @@ import numpy as np
 
 from congelation.report.axes import axes_of, short_names
 from congelation.report.study_verdict import study_verdict
-from congelation.report.verdict import reading_aids, run_verdict, settling_rule
-from congelation.results.record import RunRecord, Study
+from congelation.report.verdict import bursts, reading_aids, run_verdict, settling_rule
+from congelation.results.record import RunRecord, Study, Trajectory
 from congelation.scenario.load import load_scenario
 from congelation.sweep.plan import plan_study
 from tests.report.stored import ABOUT, record
@@ -207,3 +207,25 @@ def test_names_are_as_short_as_they_can_be() -> None:
         "controller.c[1]": "c[1]",
     }
     assert short_names(names) == names
+
+
+def test_a_run_that_comes_to_rest_and_bursts_is_told() -> None:
+    """|x| is 1, rests at 0.001 from 2 s on, and rises for 1 s at 6 s; the bound is 0.01."""
+    time = np.arange(0.0, 10.0, 0.5)
+
+    def run(height: float) -> Trajectory:
+        size = np.where(time < 2.0, 1.0, np.where((time >= 6.0) & (time < 7.0), height, 1e-3))
+        x = np.column_stack([0.6 * size, 0.8 * size])
+        return Trajectory(time, ("plant.x[1]", "plant.x[2]"), x, {})
+
+    about = {"settling_x": {"metric": "settling_time", "of": "plant.x", "options": {"below": 0.01}}}
+    found = study([record("r1", 1)], metrics=about)
+    named = {"the run of A": run(0.5), "the run of B": run(0.09), "the run of C": run(1e-3)}
+    assert list(bursts(found, named)) == [
+        "In the run of A, |plant.x| falls below 0.01 at t = 2 s, and bursts to 0.5 at t = 6 s."
+    ]
+    never = Trajectory(time, ("plant.x[1]",), np.ones((len(time), 1)), {})
+    unrecorded = Trajectory(time, ("controller.u",), np.ones((len(time), 1)), {})
+    assert not list(bursts(found, {"the run of D": never, "the run of E": unrecorded}))
+    unmeasured = study([record("r1", 1)], metrics={})
+    assert not list(bursts(unmeasured, named))

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from congelation.cosim.buffers import NO_DERIVATIVE, Transfer
 from congelation.cosim.columns import Columns
@@ -20,7 +19,6 @@ from congelation.cosim.recording import EveryStep, Rows
 
 __all__ = ["CHUNK", "DONE", "FULL", "NOT_FINITE", "UNUSUAL", "Compiled", "fits"]
 
-Floats = npt.NDArray[np.float64]
 
 CHUNK = 1024
 """Steps per call: progress is reported, and Ctrl-C is heard, between two calls."""

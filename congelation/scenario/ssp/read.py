@@ -37,7 +37,6 @@ from congelation.toml import Section
 __all__ = ["read_ssp"]
 
 _FMU = "application/x-fmu-sharedlibrary"
-_PARAMETER_SET = "application/x-ssp-parameter-set"
 
 
 def read_ssp(file: Path, experiment: Mapping[str, object] | None = None) -> Scenario:
