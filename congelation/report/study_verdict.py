@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from statistics import median_low as median  # a value that is there, as in the tables
+from statistics import median
 from typing import Any
 
 from congelation.report.axes import FEW, axes_of, short_names, unit_of

@@ -90,6 +90,20 @@ def test_a_study_tells_what_is_dear_what_is_cheap_and_what_costs_the_same() -> N
     ]
 
 
+def test_the_median_of_two_runs_is_their_mean() -> None:
+    """The lower of the two would turn the conclusion about the price round."""
+    peaks = {"A": (22.0, 0.5), "B": (1.0, 1.0)}
+    found = swept({name: [(1.0 + k, p) for k, p in enumerate(of)] for name, of in peaks.items()})
+    said = list(study_verdict(found))
+    assert (
+        said[0]
+        == "A and B settle in all 2 runs, after 1 s at omega = 1 rad/s and after 2 s at 10 rad/s."
+    )
+    assert said[1] == (
+        "A pays with a peak of |u| that is 11.2 times that of B (median at equal settings; 0.5 to 22)."
+    )
+
+
 def test_an_unfinished_study_says_so_first() -> None:
     runs = [record(f"r{k}", k, metrics={"settling_x": 1.0}) for k in range(5)]
     assert next(iter(study_verdict(study(runs, planned=24)))) == (
