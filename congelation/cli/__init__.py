@@ -98,6 +98,7 @@ def main(arguments: Sequence[str] | None = None, ready: Callable[[], None] = lam
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
+        _require_folder()
         # The shell's --out "$FOLDER" with nothing in it would be the folder that it is called from.
         for before, word in zip(["", *words], words, strict=False):
             option, sign, value = word.partition("=")
@@ -128,6 +129,14 @@ def main(arguments: Sequence[str] | None = None, ready: Callable[[], None] = lam
     except CongelationError as error:
         complain(str(error))
         sys.exit(FAILED)
+
+
+def _require_folder() -> None:
+    """Refuse to work in a folder that was removed: paths lead nowhere, no process starts there."""
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:
+        raise InvalidInput("the current folder was removed; change to one that exists") from error
 
 
 def _end_unread(stream: TextIO, complaint: str | None = None) -> NoReturn:

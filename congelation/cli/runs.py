@@ -263,6 +263,7 @@ def export_ssp(
     ] = False,
 ) -> None:
     """Write a scenario as a system that other tools can open: SSP 1.0 with the FMUs inside."""
+    check_file("FILE", file)
     loaded = load_scenario(scenario)
     write_ssp(loaded, file, variant, derivatives=derivatives, step=step, native=native)
     chosen = next(one for one in loaded.variants if variant in (None, one.name))

@@ -190,7 +190,9 @@ def number(value: object) -> str:
         return "–"
     if isinstance(value, bool):
         return "true" if value else "false"
-    if isinstance(value, int | str):
+    if isinstance(value, str):  # of the settings of an FMU, which may have line breaks
+        return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in value)
+    if isinstance(value, int):
         return str(value)
     if not isinstance(value, float):  # a list of numbers
         return str(value)
