@@ -13,6 +13,7 @@ from congelation.report.summary import number
 from congelation.report.verdict import (
     DEAR,
     LISTED,
+    WORST_THETA,
     listed,
     metric_of_kind,
     multiple,
@@ -82,7 +83,8 @@ def study_verdict(study: Study) -> Iterator[str]:
         if (found := sum(violates(study, run) for run in runs))
     }
     if broken:
-        yield f"The Lyapunov certificate is violated in {listed([*broken.values()])}."
+        counts = listed([*broken.values()])
+        yield f"The Lyapunov certificate is violated in {counts}, {WORST_THETA}."
 
 
 def _times(

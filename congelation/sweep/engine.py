@@ -31,7 +31,7 @@ from congelation.sweep.execute import REFUSED, Task
 from congelation.sweep.local import Local
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Finished, Lost, Progress, Remark, Workers
-from congelation.verify.scenario_assumptions import scenario_warnings
+from congelation.verify.scenario_assumptions import scenario_warnings, sweep_warnings
 
 __all__ = ["Listener", "Tally", "carry_out", "read", "result_folder", "run", "sweep"]
 
@@ -173,7 +173,7 @@ def sweep(
     Warns
     -----
     DesignWarning
-        For each assumption of the theorem that a variant breaks.
+        For each assumption of the theorem that a variant, or points of the sweep, break.
     UserWarning
         For what may be a mistake: a forgotten connection, units that cannot be compared.
 
@@ -207,7 +207,8 @@ def _study(
     # The caller is that of `run` or `sweep`.
     for line in found.warnings:
         warnings.warn(line, UserWarning, stacklevel=3)
-    for line in scenario_warnings(found):
+    of_points = sweep_warnings(found) if options["swept"] else ()
+    for line in (*scenario_warnings(found), *of_points):
         warnings.warn(line, DesignWarning, stacklevel=3)
     plan = plan_study(found, result_folder(found, out), **options)
     return carry_out(plan, workers, progress or _notebook_progress())
