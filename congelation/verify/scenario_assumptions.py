@@ -22,6 +22,9 @@ __all__ = ["case_assumptions", "loops_of", "scenario_warnings", "sweep_warnings"
 MOST_POINTS = 200
 """Points of a sweep that are looked at for each variant, 5 ms each; of more only the extremes."""
 
+MOST_STRUCTURED = 20
+"""The same of a law that knows Upsilon(t), for which vartheta is fitted at each point, in 0.1 s."""
+
 MOST_NAMED = 4
 """Values of a setting that are named one by one."""
 
@@ -83,14 +86,16 @@ def sweep_warnings(scenario: Scenario) -> tuple[str, ...]:
         known = {str(remark) for remark in case_assumptions(case)}
         sweep = scenario.sweep.of_variant(variant.name)
         names |= {name for constraint in sweep.constraints for name in constraint.names}
-        parts = list(sweep.parts(names, MOST_POINTS))
+        knows_Upsilon = any("Upsilon" in spec_of(c)["structure"] for _, c in loops_of(case))
+        most_points = MOST_STRUCTURED if knows_Upsilon else MOST_POINTS
+        parts = list(sweep.parts(names, most_points))
         drawn = sweep.samples if any(axis.name in names for axis in sweep.axes) else 0
-        every = max(drawn, math.prod(map(len, parts))) <= MOST_POINTS
+        every = max(drawn, math.prod(map(len, parts))) <= most_points
         if not every:
             parts = [_extremes(entries) for entries in parts]
         points: list[dict[str, Scalar]] = []
         broken: dict[str, list[tuple[Remark, dict[str, Scalar]]]] = {}
-        for entries in itertools.islice(itertools.product(*parts), MOST_POINTS):
+        for entries in itertools.islice(itertools.product(*parts), most_points):
             point = {name: value for entry in entries for name, value in entry.items()}
             try:
                 if not sweep.holds(point):
