@@ -21,7 +21,7 @@ from typing import Any
 
 from congelation.arguments import checked
 from congelation.errors import DesignWarning, InvalidInput, counted
-from congelation.places import StoreError
+from congelation.places import StoreError, name_of
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
 from congelation.scenario.load import load_scenario
@@ -97,7 +97,8 @@ def run(
     scenario : Scenario or path
         A scenario, or the file of one (.toml, .ssp).
     out : path, optional
-        The result directory, by default ``results/<scenario>``. Runs of the same scenario are done
+        The result directory, by default ``results/<scenario>``, of a ``scenario.toml``
+        ``results/<its folder>``. Runs of the same scenario are done
         again; those of an earlier state of it are kept.
     workers : int
         Number of processes.
@@ -222,7 +223,7 @@ def result_folder(scenario: Scenario, out: Path | str | None) -> Path:
         return Path(out)
     if scenario.file is None:
         raise InvalidInput("a scenario without a file has no folder for its results; give out")
-    return Path("results") / scenario.file.stem
+    return Path("results") / name_of(scenario.file)
 
 
 def _notebook_progress() -> Listener | None:
