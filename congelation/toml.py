@@ -377,6 +377,10 @@ def read_document(file: Path, kind: str = "scenario") -> tuple[str, Section]:
     try:
         text = file.read_text(encoding="utf-8-sig")  # with or without a byte order mark
     except FileNotFoundError as error:
+        if file.is_symlink():
+            raise InvalidInput(
+                f"{file}: this is a link to {os.readlink(file)}, which does not exist"
+            ) from error
         raise InvalidInput(f"{file}: no such file; {_neighbours(file, kind)}") from error
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
@@ -386,6 +390,13 @@ def read_document(file: Path, kind: str = "scenario") -> tuple[str, Section]:
     except OSError as error:
         raise InvalidInput(f"{file}: cannot be read ({error.strerror})") from error
     return text, parse_document(text, str(file))
+
+
+def folders_of(file: str) -> tuple[Path, ...]:
+    """The folders that paths in a file start from: its own, and where the file is a link, that of
+    what it leads to."""
+    path = Path(file).absolute()
+    return (path.parent, path.resolve().parent) if path.is_symlink() else (path.parent,)
 
 
 def parse_document(text: str, name: str) -> Section:

@@ -28,6 +28,7 @@ extensions = [
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
 ]
+highlight_language = "text"  # of code without a language: commands and what they print
 html_theme = "furo"
 html_title = "congelation"
 html_extra_path = ["generated/files"]
@@ -105,11 +106,8 @@ def widths(app: Sphinx, document: nodes.document, page: str) -> None:
         table["classes"].append("stacked")
         for row in rows:
             for name, entry in zip(head, row, strict=True):
-                if (
-                    name.astext() in labelled
-                    and name.children
-                    and entry.astext() not in ("", "required")
-                ):
+                head_text, text = name.astext(), entry.astext()
+                if head_text and head_text in labelled and text not in ("", "required"):
                     title = [child.deepcopy() for child in name[0].children]
                     entry[0].insert(
                         0, nodes.inline("", "", *title, nodes.Text(": "), classes=["label"])
@@ -130,7 +128,8 @@ def breaks(found: re.Match[str]) -> str:
 def block(found: re.Match[str]) -> str:
     """A block of code that a phone breaks before comments, and no window within options."""
     marked = re.sub(r"(?<=\s)--[a-z-]+", r'<span class="option">\g<0></span>', found[0])
-    return re.sub(r"(?<=\S)  +(?=#|<span class=\"c1\">)", r'<span class="gap">\g<0></span>', marked)
+    gap = r'(?<=\S)(?:  +|<span class="w">  +</span>)(?=#|<span class="c1">)'
+    return re.sub(gap, r'<span class="gap">\g<0></span>', marked)
 
 
 def options(app: Sphinx, page: str, template: str, context: dict, document: object) -> None:  # type: ignore[type-arg]

@@ -72,10 +72,12 @@ def cell(text: object) -> str:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
+    """A table of the columns that say something: on a phone there is room for few."""
+    shown = [k for k in range(len(head)) if any(row[k] != "" for row in rows)]
     return [
-        "| " + " | ".join(head) + " |",
-        "|" + "---|" * len(head),
-        *("| " + " | ".join(cell(entry) for entry in row) + " |" for row in rows),
+        "| " + " | ".join(head[k] for k in shown) + " |",
+        "|" + "---|" * len(shown),
+        *("| " + " | ".join(cell(row[k]) for k in shown) + " |" for row in rows),
         "",
     ]
 
@@ -98,11 +100,8 @@ def commands() -> list[str]:
         lines += [f"## {name}", "", f"    congelation {name} {usage}".rstrip(), "", text, ""]
         rows = [(f"`{_argument(p)}`", p.help or "", "") for p in arguments]
         rows += [(_option(p), p.help or "", _default(p)) for p in options]
-        # Without a default in any row, its column would be empty.
-        columns = 3 if any(default for _, _, default in rows) else 2
         if rows:
-            head = ["argument or option", "what it is", "default"]
-            lines += table(head[:columns], [row[:columns] for row in rows])
+            lines += table(["argument or option", "what it is", "default"], rows)
     return lines
 
 
@@ -252,19 +251,16 @@ def fmu(path: Path) -> list[str]:
     for title, variables in groups:
         if not variables:
             continue
-        # Only columns that say something: on a phone there is room for few. Most are Real.
         rows = [
-            {
-                "name": f"`{v.name}`",
-                "unit": v.unit,
-                "start": "" if v.start is None else _start(v.start),
-                "what it is": v.description + (f" ({v.type})" if v.type != "Real" else ""),
-            }
+            (
+                f"`{v.name}`",
+                v.unit,
+                "" if v.start is None else _start(v.start),
+                v.description + (f" ({v.type})" if v.type != "Real" else ""),  # most are Real
+            )
             for v in variables
         ]
-        columns = [name for name in rows[0] if any(row[name] for row in rows)]
-        cells = [[row[name] for name in columns] for row in rows]
-        lines += [f"## {title}", "", *table(columns, cells)]
+        lines += [f"## {title}", "", *table(["name", "unit", "start", "what it is"], rows)]
     if any(v.name.startswith("profile[") for v in model.parameters):
         lines += [
             "The parameters `profile[j].…`, not listed here, describe the j-th signal that the FMU "

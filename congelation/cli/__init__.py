@@ -71,9 +71,11 @@ def load(words: Sequence[str]) -> None:
 
 
 def _called(words: Sequence[str]) -> Iterable[str]:
-    """The command that is called; all of them where none is."""
+    """The command that is called; all of them where none is, but for the version."""
     called = next((word for word in words if not word.startswith("-")), "")
-    return [called] if called in _COMMANDS else _COMMANDS
+    if called in _COMMANDS:
+        return [called]
+    return () if "--version" in words else _COMMANDS
 
 
 def __getattr__(name: str) -> typer.Typer:
@@ -96,6 +98,7 @@ def main(arguments: Sequence[str] | None = None, ready: Callable[[], None] = lam
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
     try:
+        _require_folder()
         # The shell's --out "$FOLDER" with nothing in it would be the folder that it is called from.
         for before, word in zip(["", *words], words, strict=False):
             option, sign, value = word.partition("=")
@@ -126,6 +129,14 @@ def main(arguments: Sequence[str] | None = None, ready: Callable[[], None] = lam
     except CongelationError as error:
         complain(str(error))
         sys.exit(FAILED)
+
+
+def _require_folder() -> None:
+    """Refuse to work in a folder that was removed: paths lead nowhere, no process starts there."""
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:
+        raise InvalidInput("the current folder was removed; change to one that exists") from error
 
 
 def _end_unread(stream: TextIO, complaint: str | None = None) -> NoReturn:

@@ -94,9 +94,10 @@ def write_starter(
     >>> plant = {"numerator": [2.0], "denominator": [1.0, [0.5, 1.5], [-1.0, 1.0]]}
     >>> made = cg.new("servo", folder, plant)
     """
-    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,99}", name):
         raise InvalidInput(
-            f"NAME '{name}' is not valid; give letters, digits and _, beginning with a letter"
+            f"NAME '{name}' is not valid; give letters, digits and _, beginning with a letter, "
+            "and 100 at most"
         )
     kind, further = "", {}
     if source is not None:

@@ -75,9 +75,16 @@ def _past_the_end(
 
 
 def _mixed(resolved: ResolvedSystem, metrics: Iterable[MetricSpec]) -> Iterator[str]:
-    """A line for each metric that takes the norm of elements in different units."""
+    """A line for each metric that takes the norm of elements in different units, or that computes
+    with the numbers of an enumeration."""
     for found in metrics:
-        units = {c.variable.unit for c in resolved.recorded([found.of])} if found.of else ()
+        columns = resolved.recorded([found.of]) if found.of else ()
+        if any(column.variable.items for column in columns):
+            yield (
+                f"metrics.{found.name}: '{found.of}' is an enumeration, whose numbers stand for "
+                "names; what is computed from them depends on how the items are numbered"
+            )
+        units = {column.variable.unit for column in columns}
         if len(units) > 1:
             names = ", ".join(f"'{unit}'" for unit in sorted(units))
             yield (

@@ -29,7 +29,7 @@ from congelation.scenario.parts import (
 )
 from congelation.scenario.read_sweep import read_sweep
 from congelation.scenario.settings import SettingsReader, component_values, in_own_unit
-from congelation.toml import Section
+from congelation.toml import Section, folders_of
 
 __all__ = ["read_scenario"]
 
@@ -119,7 +119,7 @@ def _find_fmu(section: Section, native: bool) -> Path:
     """The file that `fmu` names: a path from the scenario's folder, or a name in a fmus/ folder,
     or in the folder native of that."""
     name: str = section.as_kind("fmu", "text")
-    home = Path(section.file).absolute().parent
+    homes = folders_of(section.file)
     if name.endswith(".fmu"):
         if native:
             raise section.error(
@@ -127,16 +127,17 @@ def _find_fmu(section: Section, native: bool) -> Path:
                 f"= true goes with a name, and fmu = '{name}' is a path; leave native out, or give "
                 f'fmu = "{Path(name).stem}"',
             )
-        return home / name
+        return next((home / name for home in homes if os.path.isfile(home / name)), homes[0] / name)
     where = "fmus/native" if native else "fmus"
-    folders = [folder / where for folder in (home, *home.parents, Path.cwd())]
+    around = [*(folder for home in homes for folder in (home, *home.parents)), Path.cwd()]
+    folders = [folder / where for folder in around]
     for folder in folders:
         if os.path.isfile(folder / f"{name}.fmu"):
             return folder / f"{name}.fmu"
     built = sorted({f.stem for folder in folders for f in folder.glob("*.fmu")})
     # Beside the FMUs of other plants, only a slip of the pen is what was meant.
     near = difflib.get_close_matches(name, built, n=1, cutoff=0.8)
-    spec = _spec_of(name, (home, *home.parents, Path.cwd()))
+    spec = _spec_of(name, around)
     if spec is not None:
         near = []
     build = f"build it with: congelation build {spec or 'SPEC.toml'}{' --native' if native else ''}"
@@ -213,11 +214,17 @@ def _measured(section: Section, key: str, found: Metric, resolved: ResolvedSyste
     return number
 
 
+LONGEST_NAME = 200
+"""Bytes; file systems take names of 255, and what is added to one is shorter than the rest."""
+
+
 def _figure(section: Section) -> FigureSpec:
     read = section.read(keys.FIGURE)
     name, panels, span = read["name"], read["panels"], read["span"]
-    if not name.replace("_", "").replace("-", "").isalnum():
-        raise section.wrong("name", "letters, digits, - and _, as it names a file")
+    if not name.replace("_", "").replace("-", "").isalnum() or len(name.encode()) > LONGEST_NAME:
+        raise section.wrong(
+            "name", f"up to {LONGEST_NAME} letters, digits, - and _, as it names a file"
+        )
     if not panels:
         raise section.wrong("panels", "at least one variable")
     if span and (len(span) != 2 or span[0] >= span[1]):

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from pathlib import Path
@@ -15,7 +16,7 @@ from congelation.fmi.start_values import resolve_start
 from congelation.fmi.units import Conversion, conversion
 from congelation.scenario.parts import EXPERIMENT, Experiment, Scalar, agreed
 from congelation.signals import Profile, ProfileError, Slots, sizes_of_flat
-from congelation.toml import Section
+from congelation.toml import Section, folders_of
 
 __all__ = ["SettingsReader", "component_values", "in_own_unit", "profile_prefixes"]
 
@@ -186,19 +187,14 @@ def _profile_values(
     InvalidInput
         No such component of theta, a term that is not valid, or more terms than the FMU takes.
     """
-    folder = str(Path(section.file).absolute().parent)
+    folders = folders_of(section.file)
     values: dict[str, Scalar] = {}
     for key, spec in section.data.items():
         component, prefix = _profile_prefix(section, key, description)
         offered = [n.removeprefix(prefix) for n in description.variables if n.startswith(prefix)]
         sizes = sizes_of_flat(offered)
         if key == component:
-            try:
-                profile = Profile.from_spec(spec, section.place(key), folder)
-            except ProfileError as error:  # its text begins with the place
-                raise InvalidInput(str(error)) from error
-            except ValueError as error:  # a zero in the name of a file
-                raise section.error(key, f"cannot be read: {error}") from error
+            profile = _profile(section, key, folders)
             flat = section.attempt(key, partial(profile.to_flat, Slots.of(sizes.values())))
             found = {prefix + name: value for name, value in flat.items()}
         else:
@@ -211,6 +207,20 @@ def _profile_values(
             raise section.error(key, f"gives '{twice}' a second time; leave one of them out")
         values |= found
     return values
+
+
+def _profile(section: Section, key: str, folders: Sequence[Path]) -> Profile:
+    """The profile under `key`, its tables in the first of some folders that has them."""
+    spec, place = section.data[key], section.place(key)
+    for folder in folders[:-1]:
+        with suppress(ValueError):  # the last one says what is wrong
+            return Profile.from_spec(spec, place, str(folder))
+    try:
+        return Profile.from_spec(spec, place, str(folders[-1]))
+    except ProfileError as error:  # its text begins with the place
+        raise InvalidInput(str(error)) from error
+    except ValueError as error:  # a zero in the name of a file
+        raise section.error(key, f"cannot be read: {error}") from error
 
 
 def _named(description: Description, name: str) -> list[Variable]:

@@ -156,6 +156,12 @@ def plan_study(
         raise InvalidInput(f"timeout = {timeout} is not valid; give a positive number of seconds")
     if swept and scenario.sweep is None:
         raise InvalidInput(f"{scenario.place}: no [sweep]; give its axes, or use: congelation run")
+    for key in scenario.given if swept else ():
+        if f"{EXPERIMENT}.{key}" in _sweep(scenario).names():
+            raise InvalidInput(
+                f"{scenario.place}: {EXPERIMENT}.{key} is what an axis of the sweep sets; "
+                "change it in the file"
+            )
     # Before the directory is made or written to.
     store = Store(folder)
     _refuse_other_runs(store, scenario, swept, resume)

@@ -20,7 +20,7 @@ from tests.cli.test_cli_cluster import cluster, processes
 from tests.cli.test_cli_sweep import rows
 from tests.cli.test_cli_sweep_forms import HANG
 from tests.scenarios import FMUS, SCALAR, write
-from tests.studies import COMMAND, environment, install
+from tests.studies import command, install
 from tests.studies import last_line as one_line
 
 __all__ = ["cluster", "processes"]  # fixtures
@@ -46,8 +46,8 @@ values = [
 
 
 @pytest.fixture
-def home(tmp_path: Path) -> Path:
-    """The parent's current folder: scenario, FMUs and tables."""
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The current folder of this process, the parent: scenario, FMUs and tables."""
     home = tmp_path / "home"
     home.mkdir()
     for name in ("ScalarPlant.fmu", "ScalarController.fmu"):
@@ -55,25 +55,17 @@ def home(tmp_path: Path) -> Path:
     (home / "slow.csv").write_text("0,0\n1,0.5\n")
     (home / "fast.csv").write_text("0,0\n0.2,0.5\n0.4,-0.5\n")
     write(home, SCALAR + AXES, (str(FMUS), HERE))
+    monkeypatch.chdir(home)
     return home
 
 
-def sweep(
-    home: Path, out: str, *arguments: str, env: dict[str, str] | None = None
-) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [*COMMAND, "sweep", f"{HERE}/loop.toml", "--out", f"{HERE}/{out}", *arguments],
-        cwd=home,
-        env=env or environment(),
-        capture_output=True,
-        text=True,
-        timeout=200,
-        check=False,
-    )
+def sweep(out: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return command("sweep", f"{HERE}/loop.toml", "--out", f"{HERE}/{out}", *arguments)
 
 
+@pytest.mark.workers
 def test_files_go_out_and_results_come_back(home: Path, tmp_path: Path, cluster: str) -> None:
-    here = sweep(home, "here", "--workers", "2")
+    here = sweep("here")
     assert here.returncode == 0, here.stderr
     expected = rows(home / "here")
     assert {row["status"] for row in expected} == {"COMPLETED"}
@@ -82,10 +74,10 @@ def test_files_go_out_and_results_come_back(home: Path, tmp_path: Path, cluster:
         f"{HERE}/fast.csv",
     }
 
-    line = one_line(sweep(home, "unreachable", "--scheduler", cluster), 2)
+    line = one_line(sweep("unreachable", "--scheduler", cluster), 2)
     assert f"no FMU at {HERE}/ScalarPlant.fmu" in line  # so they cannot be reached
 
-    there = sweep(home, "there", "--scheduler", cluster, "--ship")
+    there = sweep("there", "--scheduler", cluster, "--ship")
     assert there.returncode == 0, there.stderr
     assert "12 of 12 runs, 0 failed" in there.stderr
     assert rows(home / "there") == expected
@@ -112,23 +104,26 @@ def test_files_go_out_and_results_come_back(home: Path, tmp_path: Path, cluster:
     with closing(sqlite3.connect(Store(home / "there").database)) as connection:
         connection.execute("DELETE FROM runs WHERE run_id = ?", (expected[3]["run_id"],))
         connection.commit()
-    again = sweep(home, "there", "--scheduler", cluster, "--ship", "--resume")
+    again = sweep("there", "--scheduler", cluster, "--ship", "--resume")
     assert (again.returncode, "1 of them to do" in again.stdout) == (0, True)
     assert rows(home / "there") == expected
     assert {file: file.stat().st_mtime_ns for file in cached} == sent  # sent once
 
 
-def test_a_run_that_hangs_far_away_is_ended(home: Path, tmp_path: Path, cluster: str) -> None:
+def test_a_run_that_hangs_far_away_is_ended(
+    home: Path, tmp_path: Path, cluster: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     install(tmp_path, "hang", HANG)
-    axis = '[sweep]\ntimeout = 1\n[[sweep.axes]]\nset = "plant.x0"\nvalues = [0, 2, 1]\n'
+    monkeypatch.syspath_prepend(tmp_path)
+    axis = '[sweep]\ntimeout = 3\n[[sweep.axes]]\nset = "plant.x0"\nvalues = [0, 2, 1]\n'
     metric = '[metrics]\nh = {metric = "hang", of = "plant.x"}'
     one = ('[[variants]]\nname = "Controller 2"\nset = {"controller.damping" = false}', "")
     write(home, SCALAR + axis, ("[metrics]", metric), one, (str(FMUS), HERE))
-    done = sweep(home, "out", "--scheduler", cluster, "--ship", env=environment(tmp_path))
+    done = sweep("out", "--scheduler", cluster, "--ship")
     assert done.returncode == 1, done.stderr
     found = {row["set.plant.x0[1]"]: row["status"] for row in rows(home / "out")}
     assert found == {0.0: "COMPLETED", 2.0: "TIMED_OUT", 1.0: "COMPLETED"}
 
 
 def test_ship_needs_a_scheduler(home: Path) -> None:
-    assert "--ship needs a --scheduler" in one_line(sweep(home, "out", "--ship"), 2)
+    assert "--ship needs a --scheduler" in one_line(sweep("out", "--ship"), 2)

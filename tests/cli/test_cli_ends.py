@@ -25,7 +25,7 @@ import pytest
 from congelation.cli import main
 from congelation.results.results import open_results
 from congelation.sweep.local import Local
-from tests.cosim.c_fmus import SOURCES, plain_fmu
+from tests.cosim.c_fmus import SOURCES, plain_fmu, signals_fmu
 from tests.scenarios import FMUS, ROOT, SCALAR, UNDRAWN, write
 from tests.studies import COMMAND, children, environment, process, rows, start
 from tests.studies import command as congelation
@@ -536,3 +536,44 @@ def test_a_folder_whose_name_is_too_long_or_empty_is_refused(
             "congelation: an argument is empty after --out; give it a value, or leave it out"
         )
     assert [entry.name for entry in tmp_path.iterdir()] == ["loop.toml"]
+
+
+def test_a_current_folder_that_was_removed_is_named(tmp_path: Path) -> None:
+    gone = tmp_path / "gone"
+    gone.mkdir()
+    call = (
+        f"cd {gone} && rmdir {gone} && {' '.join(COMMAND)} run {write(tmp_path)} --out {tmp_path}/o"
+    )
+    done = subprocess.run(
+        ["sh", "-c", call], capture_output=True, text=True, env=environment(), timeout=60
+    )
+    assert "the current folder was removed; change to one that exists" in one_line(done, 2)
+
+
+def test_metrics_of_an_enumeration_are_warned_of(tmp_path: Path) -> None:
+    """Its numbers stand for names."""
+    items = '<Item name="off" value="0"/><Item name="on" value="1"/>'
+    typed = f'<TypeDefinitions><SimpleType name="T"><Enumeration>{items}</Enumeration></SimpleType>'
+    fmu = signals_fmu(tmp_path)
+    with zipfile.ZipFile(fmu) as archive:
+        entries = {name: archive.read(name) for name in archive.namelist()}
+    text = entries["modelDescription.xml"].decode()
+    text = text.replace("<Integer/>", '<Enumeration declaredType="T"/>')
+    text = text.replace("<DefaultExperiment", f"{typed}</TypeDefinitions><DefaultExperiment")
+    with zipfile.ZipFile(fmu, "w") as archive:
+        for name, content in entries.items():
+            archive.writestr(name, text if name == "modelDescription.xml" else content)
+    file = tmp_path / "s.toml"
+    file.write_text(
+        f"""
+        title = "Signals"
+        connections = []
+        open = ["s.u", "s.switch", "s.level"]
+        components.s.fmu = "{fmu}"
+        experiment = {{stop_time = 0.1, step = 0.05}}
+        metrics.mean = {{metric = "ise", of = "s.count"}}
+        """
+    )
+    done = congelation("run", file, "--out", tmp_path / "out", "--progress", "quiet")
+    assert done.returncode == 0
+    assert "metrics.mean: 's.count' is an enumeration, whose numbers stand for names" in done.stderr

@@ -17,6 +17,7 @@ from scipy.io import loadmat
 
 from congelation.errors import InvalidInput
 from congelation.report.export_formats import matlab_name, write_mat
+from congelation.report.summary import number
 from congelation.report.text_table import aligned
 from congelation.results.results import Results
 from congelation.sweep.engine import run
@@ -42,6 +43,10 @@ def test_ls_has_one_line_per_run_with_settings_status_and_metrics(out: Path) -> 
     assert congelation("ls", out, "--status", "diverged").stdout == "no runs\n"
     line = one_line(congelation("ls", out, "--status", "NOPE"), 2)
     assert line.startswith("congelation: 'NOPE' is no status; valid: COMPLETED, ")
+
+
+def test_texts_of_several_lines_do_not_break_tables() -> None:
+    assert number("a  b\nc\x1b[31m \u03b8") == "a  b\\nc\\x1b[31m \u03b8"
 
 
 def test_ls_and_show_as_json(out: Path) -> None:

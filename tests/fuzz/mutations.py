@@ -185,6 +185,12 @@ KEYS = (
         r"is no FMU in fmus/",
     ),
     Mutation(
+        "a figure's name that is too long for a file",
+        _to('name = "loop"', lambda r: f'name = "{word(r) * r.randint(30, 99)}"'),
+        2,
+        r"figures\[1\]\.name = .* is not valid; give up to 200 letters, digits, - and _",
+    ),
+    Mutation(
         "a table's name with a zero",
         _to(
             "{square = {amplitude = 0.4, period = 0.3}}",

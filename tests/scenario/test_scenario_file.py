@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from congelation.errors import InvalidInput
 from congelation.scenario.load import load_scenario
 from congelation.scenario.scenario import Case, Scenario, Variant
 from congelation.signals import Profile, Sine, Square, profile
+from congelation.sweep.engine import sweep
 from tests.scenarios import FMUS, ROOT, SCALAR, SHIPPED, write
 
 
@@ -576,3 +578,46 @@ def test_a_sample_time_may_state_its_unit(tmp_path: Path) -> None:
         change = ("step = 0.01", f"{sampled}{{sample_time = {time}}}")
         scenario = load_scenario(write(tmp_path, SCALAR, change))
         assert scenario.case({}).experiment.options == {"sample_time": 0.02}
+
+
+def test_a_linked_scenario_is_read_from_where_it_leads(tmp_path: Path) -> None:
+    """The FMUs and tables beside the file itself are found from a link in another folder."""
+    home, away = tmp_path / "home", tmp_path / "away"
+    (home / "fmus").mkdir(parents=True)
+    away.mkdir()
+    for fmu in ("ScalarPlant", "ScalarController"):
+        shutil.copy(FMUS / f"{fmu}.fmu", home / "fmus")
+    (home / "theta.csv").write_text("time,value\n0,-3\n1,-2\n")
+    file = write(
+        home,
+        SCALAR,
+        (f"{FMUS}/ScalarPlant.fmu", "ScalarPlant"),
+        (f"{FMUS}/ScalarController.fmu", "fmus/ScalarController.fmu"),
+        ("{constant = -3.0}", '{table = {file = "theta.csv"}}'),
+    )
+    link = away / "linked.toml"
+    link.symlink_to(file)
+    found = load_scenario(link).system.components
+    assert [c.fmu for c in found] == [c.fmu for c in load_scenario(file).system.components]
+    assert found[0].start == load_scenario(file).system.components[0].start
+    # What is beside the link comes first.
+    (away / "fmus").mkdir()
+    shutil.copy(FMUS / "ScalarPlant.fmu", away / "fmus")
+    assert load_scenario(link).system.components[0].fmu == away / "fmus" / "ScalarPlant.fmu"
+    (away / "gone.toml").symlink_to(away / "nothing.toml")
+    with pytest.raises(InvalidInput, match=r"this is a link to .*nothing\.toml, which does not ex"):
+        load_scenario(away / "gone.toml")
+
+
+def test_a_name_that_is_too_long_for_a_file_is_refused(tmp_path: Path) -> None:
+    file = write(tmp_path, SCALAR, ('name = "loop"', f'name = "{"x" * 201}"'))
+    with pytest.raises(InvalidInput, match=r"figures\[1\]\.name.*give up to 200 letters, digits"):
+        load_scenario(file)
+
+
+def test_an_axis_and_what_is_given_exclude_each_other(tmp_path: Path) -> None:
+    axis = '\n[sweep]\n[[sweep.axes]]\nset = "experiment.stop_time"\nvalues = [0.5, 1.0]\n'
+    scenario = load_scenario(write(tmp_path, SCALAR + axis), {"stop_time": 0.3})
+    with pytest.raises(InvalidInput, match=r"experiment\.stop_time is what an axis of the sweep"):
+        sweep(scenario, out=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
