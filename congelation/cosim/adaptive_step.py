@@ -67,6 +67,9 @@ DELAYED = 10.0
 """A jump right at the start of a step comes from what happened in the one before, and was delayed
 by it, where that one is more than so many times as long as the shortest."""
 
+UNSEEN = 0.1
+"""Error, in tolerances, below which a step does not show what a jump in it does."""
+
 AT_ONCE = 1e-2
 """And it is right at the start where so much of the shortest step has it."""
 
@@ -397,15 +400,19 @@ def _tried(session: Session, rules: Rules, run: RunState, target: float, before:
         and length > rules.shortest
         and (
             (rules.switches and ensemble.discrete_values() != run.sent)
-            or (error <= 1.0 and _jumps(session, rules, run, trial.state, end))
+            or (error <= 1.0 and _jumps(session, rules, run, trial.state, end, error))
         )
     )
     return Tried(end, length, trial, error, order, fits, found, predicted, lag, switched)
 
 
-def _jumps(session: Session, rules: Rules, run: RunState, state: Any, end: float) -> bool:
-    """Whether a step has a jump in it that its error does not show, or one follows."""
-    if run.halving.jump > JUMPED * rules.tolerance and _may_delay(session, rules, run):
+def _jumps(
+    session: Session, rules: Rules, run: RunState, state: Any, end: float, error: float
+) -> bool:
+    """Whether a step has a jump in it that its error, in tolerances, does not show, or one
+    follows."""
+    unseen = error < UNSEEN and run.halving.jump > JUMPED * rules.tolerance
+    if unseen and _may_delay(session, rules, run):
         return True
     length = end - run.time
     return run.looks_ahead and bool(

@@ -3,7 +3,7 @@
 static const double SAFETY = 0.9, LARGEST_CHANGE = 4.0, SMALLEST_CHANGE = 0.2;  /* step_size.py */
 static const double PROPORTIONAL = 0.4, INTEGRAL = 0.7, SMALLEST_ERROR = 1e-4;
 static const double STRETCH = 1.1, SMALLEST_STEP = 16.0, SMALLEST_SHARE = 1e-15;  /* adaptive_step.py */
-static const double JUMPED = 10.0;  /* delayed_jumps.py */
+static const double JUMPED = 10.0, UNSEEN = 0.1;  /* delayed_jumps.py, adaptive_step.py */
 static const double SAMPLED_TOLERANCE = 1e-3, MOST_AMPLIFIED = 200.0;  /* recording.py */
 
 /* `unresolved` of Session and OutputGrid: above 1, the step to `end`, which has been made, is too long
@@ -166,7 +166,7 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
         int accepted = fits && scaled <= 1.0;
         /* A jump that the error does not show is for Python to locate. */
         const int jumps = fits && plan->halves && delays
-            && ((accepted && memory->jump > JUMPED * plan->tolerance)
+            && ((scaled < UNSEEN && memory->jump > JUMPED * plan->tolerance)
                 || memory->kink > JUMPED * plan->tolerance);
         const int kept = code == DONE && !accepted && length <= plan->shortest_kept;
         if (jumps) {
