@@ -345,7 +345,7 @@ def fitting_step(
         kinked = tried.fits and run.halving.kink > JUMPED * rules.tolerance
         if kinked and delayed is None:
             ensemble.restore()
-            delayed = _delayed(session, rules, run)
+            delayed = _delayed(session, rules, run) or 0.0
             continue  # and make it again
         tried = tried._replace(delayed=delayed or 0.0)
         if tried.fits:
@@ -366,15 +366,19 @@ def _may_delay(session: Session, rules: Rules, run: RunState) -> bool:
     return rules.delays and len(session.stepper.points(run.coupling).times) > 1
 
 
-def _delayed(session: Session, rules: Rules, run: RunState) -> float:
+def _delayed(session: Session, rules: Rules, run: RunState) -> float | None:
     """What it makes of the links that the step before has delayed a jump at the start of this one;
-    0 where it has not."""
+    0 where it has not, None where it need not be looked at yet."""
     stepper = session.stepper
     assert isinstance(stepper, AdaptiveStepper)
-    last, at_once = stepper.points(run.coupling).distance(1), rules.shortest * AT_ONCE
-    if last <= DELAYED * rules.shortest:
-        return 0.0
-    return jump_ahead(session, run.coupling, run.time, at_once, last, rules.tolerance)
+    # Where slopes are exact, a jump at the start is refused down to far shorter steps.
+    length = (
+        rules.shortest if rules.halves or rules.predicts else max(run.size.length, rules.shortest)
+    )
+    if stepper.points(run.coupling).distance(1) <= DELAYED * length:
+        return None
+    at_once = rules.shortest * AT_ONCE
+    return jump_ahead(session, run.coupling, run.time, at_once, rules.tolerance)
 
 
 def _tried(session: Session, rules: Rules, run: RunState, target: float, before: Floats) -> Tried:
@@ -414,10 +418,11 @@ def _jumps(
     unseen = error < UNSEEN and run.halving.jump > JUMPED * rules.tolerance
     if unseen and _may_delay(session, rules, run):
         return True
-    length = end - run.time
-    return run.looks_ahead and bool(
-        jump_ahead(session, state, end, rules.shortest, length, rules.tolerance)
-    )
+    stepper = session.stepper
+    assert isinstance(stepper, AdaptiveStepper)
+    if not run.looks_ahead or len(stepper.points(state).times) < 2:
+        return False
+    return jump_ahead(session, state, end, rules.shortest, rules.tolerance) > 0.0
 
 
 def _end(time: float, length: float, target: float) -> float:

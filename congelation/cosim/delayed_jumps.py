@@ -11,6 +11,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from congelation.cosim.coupling import AdaptiveStepper
 from congelation.cosim.exchange import settle_discrete
@@ -20,15 +21,17 @@ from congelation.fmi.slave import SlaveTerminated, StepDiscarded
 
 __all__ = ["JUMPED", "KINKED", "JumpDelayed", "jump_ahead", "jumped"]
 
+Floats = npt.NDArray[np.float64]
+
 JUMPED = 10.0
 """Error, in tolerances, beyond which the values before a step say nothing of those after it."""
 
 KINKED = 3.0
 """Error, in tolerances, that a jump of a slope may leave in a link by coming a step late."""
 
-PROBE = 0.1
-"""Step, as a part of the one before, over which a slope is looked at; and over its half and
-quarter."""
+SUDDEN = 10.0
+"""So many times what the step before has left unexplained is more than slopes that are not exact
+make of it."""
 
 
 class JumpDelayed(Exception):
@@ -36,28 +39,30 @@ class JumpDelayed(Exception):
 
 
 def jump_ahead(
-    session: Session, state: Any, time: float, shortest: float, before: float, tolerance: float
+    session: Session, state: Any, time: float, shortest: float, tolerance: float
 ) -> float:
     """What it makes of the links, relative to their sizes, that an FMU jumps when its step from
     `time` begins, where the FMUs are left and the coupling has this state; 0 if none does.
 
     Parameters
     ----------
+    state
+        It has been at two points at least.
     shortest : float
         Step within which a value has to jump, in seconds.
-    before : float
-        Length of the step before, in seconds, by which the jump may be late.
     """
     found = _missed_by(session, state, time, shortest)
     if found > JUMPED * tolerance:
         return found
-    quarter, half, whole = (
-        _missed_by(session, state, time, k * PROBE * before) for k in (0.25, 0.5, 1.0)
-    )
-    kink = whole / PROBE
-    if kink > KINKED * tolerance and in_proportion(half, whole) and in_proportion(quarter, half):
-        return kink
-    return 0.0
+    points = _stepper(session).points(state)
+    last = points.distance(1)
+    usual = _relative(session, points.at(1), points.now[0], last)
+    whole = _missed_by(session, state, time, last)
+    if whole <= max(KINKED * tolerance, SUDDEN * usual):
+        return 0.0
+    half, quarter = (_missed_by(session, state, time, k * last) for k in (0.5, 0.25))
+    # A fast motion, whose slope is not known well, does not go on in proportion.
+    return whole if in_proportion(half, whole) and in_proportion(quarter, half) else 0.0
 
 
 def jumped(session: Session, state: Any, length: float, tolerance: float) -> bool:
@@ -88,11 +93,15 @@ def _missed_by(session: Session, state: Any, time: float, length: float) -> floa
 def _missed(session: Session, state: Any, length: float) -> float:
     """How far the links are, at the end of a step, from where their derivatives at its start lead:
     the largest distance relative to nominal value plus size."""
-    ensemble = session.ensemble
-    value, slope = _stepper(session).points(state).now
-    values = ensemble.Y[ensemble.source]
+    now = _stepper(session).points(state).now
+    return _relative(session, now, session.ensemble.Y[session.ensemble.source], length)
+
+
+def _relative(session: Session, now: Floats, values: Floats, length: float) -> float:
+    """The same of values, shape (L,), a step after values and derivatives `now`, shape (2, L)."""
+    value, slope = now
     missed = np.abs(values - value - length * slope)
-    relative = missed / (ensemble.nominal + np.maximum(np.abs(value), np.abs(values)))
+    relative = missed / (session.ensemble.nominal + np.maximum(np.abs(value), np.abs(values)))
     return float(relative.max(initial=0.0))
 
 

@@ -3,7 +3,7 @@
 static const double SAFETY = 0.9, LARGEST_CHANGE = 4.0, SMALLEST_CHANGE = 0.2;  /* step_size.py */
 static const double PROPORTIONAL = 0.4, INTEGRAL = 0.7, SMALLEST_ERROR = 1e-4;
 static const double STRETCH = 1.1, SMALLEST_STEP = 16.0, SMALLEST_SHARE = 1e-15;  /* adaptive_step.py */
-static const double JUMPED = 10.0, UNSEEN = 0.1;  /* delayed_jumps.py, adaptive_step.py */
+static const double JUMPED = 10.0, UNSEEN = 0.1, DELAYED = 10.0;  /* delayed_jumps.py, adaptive_step.py */
 static const double SAMPLED_TOLERANCE = 1e-3, MOST_AMPLIFIED = 200.0;  /* recording.py */
 
 /* `unresolved` of Session and OutputGrid: above 1, the step to `end`, which has been made, is too long
@@ -139,8 +139,10 @@ static int fitting_step(Loop *loop, const Plan *plan, Memory *memory, State *sta
     memory->refused_length = 0.0;
     const int delays = !isinf(plan->longest_at_rest) && (plan->halves || plan->shortest_kept > 0.0)
                     && memory->state.n_times > 1;
+    const double *times = memory->state.times + memory->state.n_times - 1;
+    const double last = delays ? times[0] - times[-1] : 0.0;
     for (;;) {
-        if (memory->rejected && delays) {
+        if (memory->rejected && delays && (plan->halves || last > DELAYED * memory->step)) {
             loop->calls -= saving;  /* which is done, and counted, once more */
             return UNUSUAL;
         }
