@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -38,6 +39,10 @@ V', which then stays within the rounding that the certificate allows."""
 
 REACH = 3.0
 """The defect is checked at random states whose elements are of this size and less."""
+
+FAR = 1e3
+"""The quadrature is taken as exact everywhere, as it is for polynomials, where it does at states of
+this size, too: the quadrature of any other function fails there."""
 
 
 def checked_phibar(phibar: ArrayLike) -> NDArray[np.float64]:
@@ -96,6 +101,7 @@ class Nonlinear:
 
     Its factors are those of Hadamard's lemma, phibar_{i,j} = int_0^1 (d phi_i/d x_j)(s x) ds, for
     which phi_i(x) = sum_j phibar_{i,j}(x) x_j: a factor for the recursion as constant ones are.
+    What the quadrature of the integral misses far from 0 is given back to them (`factors`).
 
     Parameters
     ----------
@@ -121,10 +127,28 @@ class Nonlinear:
         )
 
     def factors(self, x: ca.SX) -> tuple[ca.SX | ca.DM, ...]:
-        """[phibar_{i,1} .. phibar_{i,i}] for each i, by Gauss-Legendre quadrature."""
+        """[phibar_{i,1} .. phibar_{i,i}] for each i, for which phi_i = sum_j phibar_{i,j} x_j.
+
+        The quadrature q_{i,j} of `means` misses phi_i by e = phi_i - sum_j q_{i,j} x_j, which is
+        rounding for |x| <= 1 and grows without bound beyond, unless phi_i is a polynomial. With
+        q_{i,j} + e x_j / max(|x|^2, 1) nothing is missing where |x| >= 1, and the factor has a
+        kink of the size of rounding at |x| = 1. |x| is that of the x_j that are in phi_i.
+        """
+        factors: list[ca.SX | ca.DM] = []
+        for phi, mean, exact in zip(self.at(x), self.means(x), self._exact, strict=True):
+            own = x[: mean.shape[1]]
+            for k in (k for k, known in enumerate(exact) if not known):
+                inside = ca.vertcat(*(v if ca.depends_on(phi[k], v) else 0 for v in own.nz))
+                missed = phi[k] - mean[k, :] @ own
+                mean[k, :] += missed / ca.fmax(ca.sumsqr(inside), 1) * inside.T
+            factors.append(mean)
+        return tuple(factors)
+
+    def means(self, x: ca.SX) -> list[ca.SX]:
+        """The integrals of Hadamard's lemma by Gauss-Legendre quadrature, shaped as `factors`."""
         _, p = self.orders
         nodes, weights = np.polynomial.legendre.leggauss(self.nodes)
-        factors: list[ca.SX | ca.DM] = []
+        means = []
         for i, phi in enumerate(self.at(x), start=1):
             slope = ca.jacobian(phi, x)[:, :i]
             function = ca.Function("slope", [x], [slope])
@@ -136,8 +160,14 @@ class Nonlinear:
                 for j in range(i):
                     if not ca.depends_on(slope[k, j], x):
                         mean[k, j] = slope[k, j]
-            factors.append(mean)
-        return tuple(factors)
+            means.append(mean)
+        return means
+
+    @cached_property
+    def _exact(self) -> list[list[bool]]:
+        """Whether `means` is exact everywhere, for each row of phi and each of its elements."""
+        defects = _defects(self, FAR)
+        return [[bool(d <= LARGEST_DEFECT) for d in row] for row in defects]
 
 
 Regressors = Linear | Nonlinear
@@ -189,24 +219,29 @@ def regressors_of(structure: ArrayLike | Regressors) -> Regressors:
 
 
 def hadamard_defect(regressors: Nonlinear) -> tuple[int, float]:
-    """The row i with the largest |phi_i - sum_j phibar_{i,j} x_j| / (1 + |phi_i|), and that ratio.
+    """The row i whose quadrature (`Nonlinear.means`) misses phi_i most for |x_j| <= `REACH`.
 
-    The largest at 200 random x with |x_j| <= `REACH`, nan where something is not finite.
+    With the largest |phi_i - sum_j q_{i,j} x_j| / (1 + |phi_i|), nan where something is not finite.
     """
-    n, _ = regressors.orders
-    x = ca.SX.sym("x", n)
-    phi = regressors.at(x)
-    factors = regressors.factors(x)
-    size = [ca.norm_inf(v) for v in phi]
-    error = [
-        ca.norm_inf(v - factor @ x[: factor.shape[1]]) / (1 + s)
-        for v, factor, s in zip(phi, factors, size, strict=True)
-    ]
-    function = ca.Function("defect", [x], [ca.vertcat(*error)])
-    drawn = np.random.default_rng(0).uniform(-REACH, REACH, (200, n))
-    found = np.array([np.asarray(function(row)).ravel() for row in drawn]).max(axis=0)
+    found = _defects(regressors, REACH).max(axis=1)
     worst = int(np.argmax(np.where(np.isfinite(found), found, np.inf)))
     return worst + 1, float(found[worst])
+
+
+def _defects(regressors: Nonlinear, reach: float) -> NDArray[np.float64]:
+    """|phi_i - sum_j q_{i,j} x_j| / (1 + |phi_i|) of each element, shape (n, p).
+
+    The largest at 200 random x with |x_j| <= reach.
+    """
+    n, p = regressors.orders
+    x = ca.SX.sym("x", n)
+    errors = []
+    for phi, mean in zip(regressors.at(x), regressors.means(x), strict=True):
+        errors.append(ca.fabs(phi - mean @ x[: mean.shape[1]]) / (1 + ca.fabs(phi)))
+    function = ca.Function("defect", [x], [ca.vertcat(*errors)])
+    drawn = np.random.default_rng(0).uniform(-reach, reach, (200, n))
+    found = np.array([np.asarray(function(row), dtype=float).ravel() for row in drawn])
+    return np.reshape(found.max(axis=0), (n, p))
 
 
 def strict_feedback_plant(
