@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -39,10 +39,6 @@ V', which then stays within the rounding that the certificate allows."""
 
 REACH = 3.0
 """The defect is checked at random states whose elements are of this size and less."""
-
-FAR = 1e3
-"""The quadrature is taken as exact everywhere, as it is for polynomials, where it does at states of
-this size, too: the quadrature of any other function fails there."""
 
 
 def checked_phibar(phibar: ArrayLike) -> NDArray[np.float64]:
@@ -135,9 +131,11 @@ class Nonlinear:
         kink of the size of rounding at |x| = 1. |x| is that of the x_j that are in phi_i.
         """
         factors: list[ca.SX | ca.DM] = []
-        for phi, mean, exact in zip(self.at(x), self.means(x), self._exact, strict=True):
+        for phi, mean in zip(self.at(x), self.means(x), strict=True):
             own = x[: mean.shape[1]]
-            for k in (k for k, known in enumerate(exact) if not known):
+            for k in range(phi.numel()):
+                if _degree(phi[k], x) <= 2 * self.nodes:
+                    continue  # the quadrature is exact
                 inside = ca.vertcat(*(v if ca.depends_on(phi[k], v) else 0 for v in own.nz))
                 missed = phi[k] - mean[k, :] @ own
                 mean[k, :] += missed / ca.fmax(ca.sumsqr(inside), 1) * inside.T
@@ -162,12 +160,6 @@ class Nonlinear:
                         mean[k, j] = slope[k, j]
             means.append(mean)
         return means
-
-    @cached_property
-    def _exact(self) -> list[list[bool]]:
-        """Whether `means` is exact everywhere, for each row of phi and each of its elements."""
-        defects = _defects(self, FAR)
-        return [[bool(d <= LARGEST_DEFECT) for d in row] for row in defects]
 
 
 Regressors = Linear | Nonlinear
@@ -219,29 +211,54 @@ def regressors_of(structure: ArrayLike | Regressors) -> Regressors:
 
 
 def hadamard_defect(regressors: Nonlinear) -> tuple[int, float]:
-    """The row i whose quadrature (`Nonlinear.means`) misses phi_i most for |x_j| <= `REACH`.
+    """The row i with the largest |phi_i - sum_j q_{i,j} x_j| / (1 + |phi_i|), and that ratio.
 
-    With the largest |phi_i - sum_j q_{i,j} x_j| / (1 + |phi_i|), nan where something is not finite.
+    q_{i,j} is the quadrature (`Nonlinear.means`). The largest at 200 random x with
+    |x_j| <= `REACH`, nan where something is not finite.
     """
-    found = _defects(regressors, REACH).max(axis=1)
+    n, _ = regressors.orders
+    x = ca.SX.sym("x", n)
+    error = [
+        ca.norm_inf(phi - mean @ x[: mean.shape[1]]) / (1 + ca.norm_inf(phi))
+        for phi, mean in zip(regressors.at(x), regressors.means(x), strict=True)
+    ]
+    function = ca.Function("defect", [x], [ca.vertcat(*error)])
+    drawn = np.random.default_rng(0).uniform(-REACH, REACH, (200, n))
+    found = np.array([np.asarray(function(row)).ravel() for row in drawn]).max(axis=0)
     worst = int(np.argmax(np.where(np.isfinite(found), found, np.inf)))
     return worst + 1, float(found[worst])
 
 
-def _defects(regressors: Nonlinear, reach: float) -> NDArray[np.float64]:
-    """|phi_i - sum_j q_{i,j} x_j| / (1 + |phi_i|) of each element, shape (n, p).
-
-    The largest at 200 random x with |x_j| <= reach.
-    """
-    n, p = regressors.orders
-    x = ca.SX.sym("x", n)
-    errors = []
-    for phi, mean in zip(regressors.at(x), regressors.means(x), strict=True):
-        errors.append(ca.fabs(phi - mean @ x[: mean.shape[1]]) / (1 + ca.fabs(phi)))
-    function = ca.Function("defect", [x], [ca.vertcat(*errors)])
-    drawn = np.random.default_rng(0).uniform(-reach, reach, (200, n))
-    found = np.array([np.asarray(function(row), dtype=float).ravel() for row in drawn])
-    return np.reshape(found.max(axis=0), (n, p))
+def _degree(formula: ca.SX, x: ca.SX) -> float:
+    """The degree of a polynomial in x, or a bound of it; infinity for any other function."""
+    function = ca.Function("formula", [x], [formula])
+    degree, constant, found = dict[int, float](), dict[int, float](), 0.0
+    for k in range(function.n_instructions()):
+        operation, places = function.instruction_id(k), function.instruction_input(k)
+        of = [degree.get(place, 0.0) for place in places]
+        if operation == ca.OP_OUTPUT:
+            found = of[0]
+            continue
+        power = constant.get(places[-1], math.nan) if places else math.nan
+        (at,) = function.instruction_output(k)
+        constant.pop(at, None)  # places are used again
+        if operation == ca.OP_CONST:
+            degree[at], constant[at] = 0.0, function.instruction_constant(k)
+        elif operation == ca.OP_INPUT:
+            degree[at] = 1.0
+        elif operation in (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_TWICE):
+            degree[at] = max(of)
+        elif operation == ca.OP_MUL:
+            degree[at] = sum(of)
+        elif operation == ca.OP_SQ:
+            degree[at] = 2 * of[0]
+        elif operation == ca.OP_DIV and of[1] == 0:
+            degree[at] = of[0]
+        elif operation in (ca.OP_POW, ca.OP_CONSTPOW) and power in range(2 * NODES[-1]):
+            degree[at] = of[0] * power
+        else:
+            degree[at] = math.inf if any(of) else 0.0
+    return found
 
 
 def strict_feedback_plant(

@@ -670,6 +670,26 @@ def test_hadamard_factors_are_exact_far_from_0_and_smooth_at_0():
     assert np.isfinite(np.asarray(ca.Function("f", [x], [second])(np.zeros(3)))).all()
 
 
+@pytest.mark.parametrize(
+    ("text", "x", "factor"),
+    [
+        ("x[1]**5 + sin(x[1]) - x[1]/3", 30.0, 30.0**4 + math.sin(30.0) / 30 - 1 / 3),
+        ("(3*x[1] - x[1]**2)**2*x[1]/pi", 1e4, (3e4 - 1e8) ** 2 / math.pi),
+        ("tanh(x[1]/1000)", 1e5, math.tanh(100.0) / 1e5),
+        ("exp(x[1]) - 1", -600.0, math.expm1(-600.0) / -600),
+        ("x[1]/(4 + x[1]**2)", 1e3, 1 / (4 + 1e6)),
+    ],
+)
+def test_a_factor_of_one_state_is_the_quotient(text, x, factor):
+    regressors = regressors_of(Nonlinear(((text,),)))
+    symbol = ca.SX.sym("x", 1)
+    formula = regressors.factors(symbol)[0]
+    assert float(ca.Function("f", [symbol], [formula])(x)) == pytest.approx(factor, rel=1e-11)
+    # What is exact by itself is not made longer.
+    corrected = formula.n_dep() > 0 and "fmax" in str(formula)
+    assert corrected == any(name in text for name in ("sin", "tanh", "exp", "(4"))
+
+
 FAR_FROM_0 = {  # x, theta_hat, rho_hat, then ell: found by seeds 0 and 4 where quadrature is used
     "x_1 = 11": ((10.656, -23.854, -19080.4, 1080.97, 3.82e-8), (-0.0715, 0.1209, 2.994)),
     "x_1 = 26": ((26.4596, -60.0316, -10020.8, 129.163, 1.23e-3), (-1.0856, -0.4984, 7.607)),
