@@ -15,6 +15,7 @@ __all__ = [
     "check_file",
     "check_folder",
     "discard",
+    "name_of",
     "replace_whole",
     "shipped",
     "write_whole",
@@ -55,6 +56,17 @@ def write_whole(file: Path, content: str | bytes) -> None:
     """Write a file as `replace_whole` does, a text in UTF-8."""
     data = content.encode("utf-8") if isinstance(content, str) else content
     replace_whole(file, lambda temporary: temporary.write_bytes(data))
+
+
+def name_of(file: Path) -> str:
+    """What results of a scenario or spec are called: its name, or that of its folder.
+
+    All projects that `congelation new` writes have a ``scenario.toml`` and a ``spec.toml``, whose
+    names tell them from no other.
+    """
+    if file.name in ("scenario.toml", "spec.toml"):
+        return file.resolve().parent.name or file.stem
+    return file.stem
 
 
 def discard(file: Path) -> None:

@@ -39,7 +39,7 @@ from congelation.sweep.local import Local
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Workers
 from congelation.verify.reference import LARGEST_DEVIATION
-from congelation.verify.scenario_assumptions import scenario_warnings
+from congelation.verify.scenario_assumptions import scenario_warnings, sweep_warnings
 
 __all__ = ["export_ssp", "run", "sweep"]
 
@@ -207,7 +207,7 @@ def sweep(
         raise InvalidInput("give --workers or --scheduler, not both")
     if ship and scheduler is None:
         raise InvalidInput("--ship needs a --scheduler to send FMUs to; processes here have them")
-    found = _load(scenario, strict=strict)
+    found = _load(scenario, strict=strict, swept=True)
     folder = result_folder(found, out)
     again = [as_status(status) for status in retry or ()]
     plan = plan_study(
@@ -275,8 +275,14 @@ def export_ssp(
     print(file)
 
 
-def _load(file: Path, *, strict: bool, experiment: Mapping[str, object] | None = None) -> Scenario:
-    """The scenario, after warnings of what may be a mistake in it.
+def _load(
+    file: Path,
+    *,
+    strict: bool,
+    experiment: Mapping[str, object] | None = None,
+    swept: bool = False,
+) -> Scenario:
+    """The scenario, after warnings of what may be a mistake in it, or in the points of its sweep.
 
     `experiment` has the keys of its experiment that options of the command give.
 
@@ -287,6 +293,7 @@ def _load(file: Path, *, strict: bool, experiment: Mapping[str, object] | None =
     """
     scenario = load_scenario(file, experiment or {})
     warnings = (*scenario.warnings, *scenario_warnings(scenario))
+    warnings += sweep_warnings(scenario) if swept else ()
     if strict and warnings:
         raise InvalidInput(f"{warnings[0]} (--strict)")
     for warning in warnings:

@@ -23,7 +23,7 @@ from congelation.design.tune import Proposal, Tuning, write_proposals
 from congelation.design.tune import tune as search_gains
 from congelation.errors import InvalidInput
 from congelation.export.spec import read_spec
-from congelation.places import check_folder
+from congelation.places import check_folder, name_of
 from congelation.report.summary import NOT_SETTLED
 from congelation.scenario.load import load_scenario
 
@@ -80,7 +80,7 @@ def attack(
     workers: Annotated[int, typer.Option(min=1, help="Number of processes.")] = 1,
 ) -> None:
     """Search for the theta(t) that does most harm; exit code 3 if it breaks a certificate."""
-    folder = out if out is not None else Path("results") / f"{scenario.stem}_attack"
+    folder = out if out is not None else Path("results") / f"{name_of(scenario)}_attack"
     check_folder("--out", folder)
     found = _with_progress(scenario, objective, vary, variant, effort, seed, workers)
     files = write_finds(found, folder)
@@ -236,7 +236,7 @@ def tune(
     for name, number in (("--below", below), ("--stop-time", stop_time)):
         if number is not None and not number > 0.0:
             raise InvalidInput(f"{name} {number:g}; valid: a positive number")
-    folder = out if out is not None else Path("results") / f"{spec.stem}_tune"
+    folder = out if out is not None else Path("results") / f"{name_of(spec)}_tune"
     check_folder("--out", folder)
     read_spec(spec)  # what is wrong with it is said without a bar above
     named = {"settling": settling, "effort": effort, "peak_input": peak_input}

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from statistics import median_low as median  # a value that is there, as in the tables
+from statistics import median
 from typing import Any
 
 from congelation.errors import InvalidInput

@@ -43,6 +43,9 @@ congelation.study = (() => {
 
   // A quantile that is one of the values, so that an infinite one does no harm.
   const quantile = (sorted, q) => sorted[Math.max(0, Math.ceil(q * sorted.length) - 1)];
+  // Of an even number of values the mean of the two middle ones, as in the sentences and tables.
+  const median = (sorted) =>
+    (sorted[(sorted.length - 1) >> 1] + sorted[sorted.length >> 1]) / 2;
 
   function drawMetric() {
     const axis = chosen("metric-axis"), metric = chosen("metric-metric");
@@ -68,14 +71,14 @@ congelation.study = (() => {
         groups.clear();
         for (const part of parts) {
           const middle = part.map((k) => put(x, xs[k])).sort((a, b) => a - b);
-          groups.set(quantile(middle, 0.5), part);
+          groups.set(median(middle), part);
         }
         at = [...groups.keys()].sort((a, b) => a - b);
       }
       const line = {x: [], median: [], low: [], high: []};
       for (const key of at) {
         const sorted = groups.get(key).map((k) => ys[k]).sort((a, b) => a - b);
-        const three = [0.5 - band / 2, 0.5, 0.5 + band / 2].map((q) => quantile(sorted, q));
+        const three = [quantile(sorted, 0.5 - band / 2), median(sorted), quantile(sorted, 0.5 + band / 2)];
         line.x.push(key);
         ["low", "median", "high"].forEach((part, i) => line[part].push(place(y, three[i])));
         const failed = sorted.filter((s) => s === Infinity).length;
@@ -137,7 +140,7 @@ congelation.study = (() => {
       cells.get(key).push(columns[metric][k]);
     }
     const medians = new Map([...cells].map(([key, list]) =>
-      [key, quantile(list.sort((p, q) => p - q), 0.5)]));
+      [key, median(list.sort((p, q) => p - q))]));
     const scale = scaleOf([...medians.values()], metric);
     const drawn = [...medians.values()].filter(Number.isFinite).map((m) => place(scale, m));
     const low = Math.min(...drawn), high = Math.max(...drawn);

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
-from statistics import median_low as median  # a value that is there, as in the tables
+from statistics import median
 from typing import Any
 
 from congelation.report.axes import FEW, axes_of, short_names, unit_of
@@ -13,6 +13,7 @@ from congelation.report.summary import number
 from congelation.report.verdict import (
     DEAR,
     LISTED,
+    WORST_THETA,
     listed,
     metric_of_kind,
     multiple,
@@ -82,7 +83,8 @@ def study_verdict(study: Study) -> Iterator[str]:
         if (found := sum(violates(study, run) for run in runs))
     }
     if broken:
-        yield f"The Lyapunov certificate is violated in {listed([*broken.values()])}."
+        counts = listed([*broken.values()])
+        yield f"The Lyapunov certificate is violated in {counts}, {WORST_THETA}."
 
 
 def _times(

@@ -6,6 +6,7 @@ import math
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from statistics import median
 from typing import Any
 
 import numpy as np
@@ -117,8 +118,8 @@ def _order(value: object) -> tuple[int, float, str]:
 
 def _spread(values: Sequence[float | None], about: Mapping[str, Any]) -> str:
     """The median and, in brackets, the outer quantiles."""
-    low, median, high = (_quantile(values, q, about) for q in _QUANTILES.values())
-    return median if low == high else f"{median} [{low}, {high}]"
+    low, middle, high = (_quantile(values, q, about) for q in _QUANTILES.values())
+    return middle if low == high else f"{middle} [{low}, {high}]"
 
 
 def without_effect(study: Study) -> Iterator[str]:
@@ -170,10 +171,20 @@ def _summarise_sweep(study: Study) -> Summary:
 
 
 def _quantile(values: Sequence[float | None], q: float, about: Mapping[str, Any]) -> str:
-    """A quantile of the known values; always one of them, so that inf does no harm."""
-    known = [value for value in values if value is not None and not math.isnan(value)]
-    found = float(np.quantile(known, q, method="inverted_cdf")) if known else None
-    return metric_value(found, about)
+    """A quantile of the known values.
+
+    The median of an even number of values is the mean of the two middle ones, as everywhere in the
+    reports; every other quantile is one of the values, so that inf does no harm.
+    """
+    known = sorted(value for value in values if value is not None and not math.isnan(value))
+    if not known:
+        return metric_value(None, about)
+    if q != _QUANTILES["median"]:
+        return metric_value(float(np.quantile(known, q, method="inverted_cdf")), about)
+    found = metric_value(median(known), about)
+    # The mean of a number and inf says nothing of the number: exactly half of the runs settle.
+    half = found == NOT_SETTLED and math.isfinite(known[(len(known) - 1) // 2])
+    return f"{found} in half" if half else found
 
 
 def metric_definitions(study: Study) -> tuple[tuple[str, str], ...]:

@@ -15,6 +15,7 @@ from congelation.results.record import RunRecord, Study, Trajectory
 __all__ = [
     "DEAR",
     "LISTED",
+    "WORST_THETA",
     "bursts",
     "listed",
     "metric_of_kind",
@@ -34,6 +35,9 @@ LISTED = 4
 
 DEAR = 1.05
 """A peak of |u| that is larger than the least by less than 5 % is no price."""
+
+WORST_THETA = "for the worst theta(t) within delta, whatever theta(t) is in the run"
+"""What the metric of the certificate is about."""
 
 ROUNDING = 1e-9
 """A margin of the certificate up to this is rounding (`congelation.scenario.metrics`)."""
@@ -93,7 +97,7 @@ def run_verdict(study: Study, peaks: Mapping[str, float]) -> Iterator[str]:
     yield from _price(prices(study, study.records, peaks))
     broken = [run.variant for run in study.records if violates(study, run)]
     if broken:
-        yield f"The Lyapunov certificate is violated for {listed(broken)}."
+        yield f"The Lyapunov certificate is violated for {listed(broken)}, {WORST_THETA}."
 
 
 def _price(priced: Mapping[str, float]) -> Iterator[str]:
@@ -226,7 +230,8 @@ def reading_aids(study: Study) -> Iterator[str]:
     if name := metric_of_kind(study, "lyapunov"):
         yield (
             f"{name}: by how much V' is above what the certificate promises, relative to the terms "
-            "of V'. The certificate holds where it is at most 0 (1e-9 for rounding)."
+            f"of V', {WORST_THETA}. The certificate holds where it is at most 0 (1e-9 for "
+            "rounding). Where theta(t) breaks an assumption of the theorem there is no such value."
         )
 
 

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -309,6 +309,27 @@ class Sweep:
             place, entry = divmod(place, len(entries))
             point = {**entries[entry], **point}
         return point
+
+    def parts(self, names: Collection[str], most: int) -> Iterator[list[dict[str, Scalar]]]:
+        """The different values of some settings, of each list and of the sample.
+
+        The points of the sweep have the products of these parts. Of a sample with more than `most`
+        draws only those with the least and the largest value of each setting are given.
+        """
+        for entries in self.lists:
+            kept = ({name: v for name, v in entry.items() if name in names} for entry in entries)
+            yield list({tuple(entry.items()): entry for entry in kept}.values())
+        mine = [k for k, axis in enumerate(self.axes) if axis.name in names]
+        if mine:
+            sample = self._sample[:, mine]
+            if len(sample) > most:
+                ends = np.concatenate([sample.argmin(axis=0), sample.argmax(axis=0)])
+                sample = sample[np.unique(ends)]
+            axes = [self.axes[k] for k in mine]
+            yield [
+                {axis.name: axis.value(u) for axis, u in zip(axes, draw, strict=True)}
+                for draw in sample.tolist()
+            ]
 
     def holds(self, point: Settings) -> bool:
         """Whether a point satisfies all constraints."""

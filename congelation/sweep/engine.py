@@ -21,7 +21,7 @@ from typing import Any
 
 from congelation.arguments import checked
 from congelation.errors import DesignWarning, InvalidInput, counted
-from congelation.places import StoreError
+from congelation.places import StoreError, name_of
 from congelation.results.record import RunRecord
 from congelation.results.results import Results
 from congelation.scenario.load import load_scenario
@@ -31,7 +31,7 @@ from congelation.sweep.execute import REFUSED, Task
 from congelation.sweep.local import Local
 from congelation.sweep.plan import Plan, plan_study
 from congelation.sweep.workers import Finished, Lost, Progress, Remark, Workers
-from congelation.verify.scenario_assumptions import scenario_warnings
+from congelation.verify.scenario_assumptions import scenario_warnings, sweep_warnings
 
 __all__ = ["Listener", "Tally", "carry_out", "read", "result_folder", "run", "sweep"]
 
@@ -97,7 +97,8 @@ def run(
     scenario : Scenario or path
         A scenario, or the file of one (.toml, .ssp).
     out : path, optional
-        The result directory, by default ``results/<scenario>``. Runs of the same scenario are done
+        The result directory, by default ``results/<scenario>``, of a ``scenario.toml``
+        ``results/<its folder>``. Runs of the same scenario are done
         again; those of an earlier state of it are kept.
     workers : int
         Number of processes.
@@ -173,7 +174,7 @@ def sweep(
     Warns
     -----
     DesignWarning
-        For each assumption of the theorem that a variant breaks.
+        For each assumption of the theorem that a variant, or points of the sweep, break.
     UserWarning
         For what may be a mistake: a forgotten connection, units that cannot be compared.
 
@@ -207,7 +208,8 @@ def _study(
     # The caller is that of `run` or `sweep`.
     for line in found.warnings:
         warnings.warn(line, UserWarning, stacklevel=3)
-    for line in scenario_warnings(found):
+    of_points = sweep_warnings(found) if options["swept"] else ()
+    for line in (*scenario_warnings(found), *of_points):
         warnings.warn(line, DesignWarning, stacklevel=3)
     plan = plan_study(found, result_folder(found, out), **options)
     return carry_out(plan, workers, progress or _notebook_progress())
@@ -221,7 +223,7 @@ def result_folder(scenario: Scenario, out: Path | str | None) -> Path:
         return Path(out)
     if scenario.file is None:
         raise InvalidInput("a scenario without a file has no folder for its results; give out")
-    return Path("results") / scenario.file.stem
+    return Path("results") / name_of(scenario.file)
 
 
 def _notebook_progress() -> Listener | None:

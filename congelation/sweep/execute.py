@@ -25,7 +25,7 @@ from congelation.results.store import Store
 from congelation.results.trajectory_file import trajectory_bytes
 from congelation.scenario.parts import Settings
 from congelation.scenario.scenario import Case, Scenario
-from congelation.verify.measure import Points, measure, unresolved
+from congelation.verify.measure import Points, judged, measure, unresolved
 
 __all__ = [
     "ERROR",
@@ -208,6 +208,7 @@ def _simulated(
     measured_case = Case(case.system, experiment)
     measured = points.with_rows(kept) if apart else kept
     metrics, failed = measure(scenario.metrics, measured_case, measured)
+    metrics, withheld = judged(scenario.metrics, measured_case, metrics)
     margins = [metrics[m.name] for m in scenario.metrics if m.metric == "lyapunov"]
     deviations = compare(expected, kept) if expected is not None else ()
     if margins and job.trajectories:
@@ -219,7 +220,9 @@ def _simulated(
     return replace(
         outcome,
         status=ERROR if failed else outcome.status,
-        message=" ".join([result.message, *unresolved(scenario.metrics, measured), *failed]),
+        message=" ".join(
+            [result.message, *unresolved(scenario.metrics, measured), *withheld, *failed]
+        ),
         metrics=metrics,
         worst_margin=max((m for m in margins if m is not None), default=None),
         deviations={deviation.variable: deviation.relative for deviation in deviations},

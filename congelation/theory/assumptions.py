@@ -44,12 +44,15 @@ class Remark:
     what, remedy : str
     broken : bool
         Whether an assumption is known to fail; else the remark is a warning.
+    excess : float
+        Of a radius that is larger than the controller knows: by how much; else 0.
     """
 
     where: str
     what: str
     remedy: str
     broken: bool
+    excess: float = 0.0
 
     def __str__(self) -> str:
         return f"{self.where}: {self.what}; {self.remedy}"
@@ -222,6 +225,7 @@ class _Design:
             f"{given_as} {compared} {radius:.6g}, the radius of the {side} that {of} fills",
             remedy,
             broken=outside,
+            excess=radius - given if outside else 0.0,
         )
 
     def _numerator(self) -> Iterator[Remark]:

@@ -22,7 +22,7 @@ from congelation.scenario.parts import Case, MetricSpec
 if TYPE_CHECKING:
     from congelation.verify.along_run import Along
 
-__all__ = ["LOOP_METRICS", "Points", "measure", "unresolved"]
+__all__ = ["LOOP_METRICS", "Points", "judged", "measure", "unresolved"]
 
 Floats = npt.NDArray[np.float64]
 
@@ -137,6 +137,51 @@ def measure(
         except Exception as error:  # whatever it is, the other metrics are kept
             failed.append(f"metrics.{spec.name} ({spec.metric}): {type(error).__name__}: {error}")
     return values, tuple(failed)
+
+
+LIMITS: Mapping[str, float] = {
+    "lyapunov": 0.0,
+    "lyapunov_share": 1.0,
+    "ultimate_bound": math.inf,
+    "ultimate_share": 1.0,
+}
+"""The metrics of the certificate, and up to what value they say that it holds."""
+
+ROUNDING = 1e-9
+"""What a metric of the certificate may be above its limit (`congelation.scenario.metrics`)."""
+
+
+def judged(
+    specs: Sequence[MetricSpec], case: Case, values: Mapping[str, float | None]
+) -> tuple[Mapping[str, float | None], tuple[str, ...]]:
+    """The metrics without those that say that the certificate holds where it promises nothing.
+
+    Where a run breaks an assumption of the theorem, such values are left out; a value that says
+    that the certificate is violated is kept.
+
+    Returns
+    -------
+    values : mapping
+        By name; None where a metric has no answer.
+    lines : tuple of str
+        Why metrics were left out.
+    """
+    claims = [
+        spec.name
+        for spec in specs
+        if spec.metric in LIMITS
+        and (value := values[spec.name]) is not None
+        and value <= LIMITS[spec.metric] + ROUNDING
+    ]
+    if not claims:
+        return values, ()
+    from congelation.verify.scenario_assumptions import case_assumptions  # brings CasADi
+
+    broken = [remark for remark in case_assumptions(case) if remark.broken]
+    if not broken:
+        return values, ()
+    line = f"No {', '.join(claims)}, as an assumption of the theorem is broken: {broken[0]}."
+    return {**values, **dict.fromkeys(claims)}, (line,)
 
 
 UNRESOLVED = 0.2

@@ -204,7 +204,7 @@ def test_selectors_change_the_plot_of_a_study(browser: Browser, study_page: Path
     """Medians of Controller 1: settling times 1 and 2, peaks of u 50 and 100."""
     medians = "[...congelation.model('metric.line.0').data.median]"
     with opened(browser, study_page) as page:
-        assert page.evaluate(medians) == [1, 1, 1, 1]
+        assert page.evaluate(medians) == [1.5, 1.5, 1.5, 1.5]
         page.locator("#metric-axis").select_option("plant.a")
         assert page.evaluate(medians) == [1, 2]
         page.locator("#metric-metric").select_option("peak_u")
@@ -218,7 +218,7 @@ def test_what_never_settles_is_drawn_above_all_else(browser: Browser, study_page
     with opened(browser, study_page) as page:
         ceiling = page.evaluate("congelation.scales['metric.y'].ceiling")
         line = page.evaluate("[...congelation.model('metric.line.1').data.median]")
-        assert line[:2] == [2, 2]
+        assert line[:2] == [3, 3]
         assert line[2:] == [ceiling, ceiling]
         assert ceiling > 4
         assert (

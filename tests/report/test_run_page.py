@@ -138,7 +138,7 @@ def test_pages_tell_of_the_burst_that_delays_a_run(tmp_path: Path) -> None:
 def test_a_study_says_where_it_fails_and_what_it_costs(tmp_path: Path) -> None:
     found = page(stored_study(tmp_path, kept=0), tmp_path / "report.html")
     head = found.text[: found.text.index("Metric against a setting")]
-    assert "Controller 1 settles in all 8 runs, after 1 s (median; 1 to 2 s)." in head
+    assert "Controller 1 settles in all 8 runs, after 1.5 s (median; 1 to 2 s)." in head
     assert "A run settles when |plant.x| stays" in head
     assert "Controller 2 settles in 4 of 8 runs: in all up to omega = 1 and in none" in head
     assert "from omega = 10 on." in head

@@ -40,6 +40,27 @@ def test_groups_are_sorted_and_have_the_median_between_outer_quantiles() -> None
     )
 
 
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        ([1.0, 2.0], "1.5 [1, 2]"),
+        ([4.0, 1.0, 2.0, 9.0, None], "3 [1, 9]"),
+        ([1.0, math.inf], "not settled in half [1, not settled]"),
+        ([1.0, math.inf, math.inf, math.inf], "not settled [1, not settled]"),
+        ([1.0, 2.0, 3.0, math.inf], "2.5 [1, not settled]"),
+        ([math.inf, math.inf], "not settled"),
+    ],
+)
+def test_the_median_is_the_mean_of_the_middle_values(
+    values: list[float | None], expected: str
+) -> None:
+    rows = tuple(row(1.0, value, 0.0) for value in values)
+    about = {name: dict(metric) for name, metric in ABOUT["metrics"].items()}
+    about["time"]["metric"] = "settling_time"
+    (found,) = summarise_groups(Study(rows, {**ABOUT, "metrics": about}), ["a.k"]).lines
+    assert found[1][2] == expected
+
+
 COSTS = st.integers(0, 5) | st.sampled_from([math.inf, math.nan])
 
 

@@ -74,10 +74,14 @@ def test_a_certificate_that_is_violated_is_counted_rounding_is_not() -> None:
     ]
     about = {"margin": {"metric": "lyapunov", "of": "the closed loop", "unit": ""}}
     said = "The Lyapunov certificate is violated"
-    assert list(study_verdict(study(runs, metrics=about)))[-1] == f"{said} in 2 of 3 runs of B."
+    worst = "for the worst theta(t) within delta, whatever theta(t) is in the run"
+    whole = list(study_verdict(study(runs, metrics=about)))
+    assert whole[-1] == f"{said} in 2 of 3 runs of B, {worst}."
     once = [run for run in runs if run.number == 2]
-    assert list(run_verdict(study(once, metrics=about), {}))[-1] == f"{said} for B."
-    assert "margin: by how much V'" in list(reading_aids(study(once, metrics=about)))[-1]
+    assert list(run_verdict(study(once, metrics=about), {}))[-1] == f"{said} for B, {worst}."
+    aid = list(reading_aids(study(once, metrics=about)))[-1]
+    assert aid.startswith("margin: by how much V'")
+    assert worst in aid
 
 
 def test_a_study_tells_what_is_dear_what_is_cheap_and_what_costs_the_same() -> None:
@@ -88,6 +92,21 @@ def test_a_study_tells_what_is_dear_what_is_cheap_and_what_costs_the_same() -> N
         "The peak of |u| of A is within 5 % of that of like.",
         "A pays with a peak of |u| that is 2 times that of cheap.",
     ]
+
+
+def test_the_median_of_two_runs_is_their_mean() -> None:
+    """The lower of the two would turn the conclusion about the price round."""
+    peaks = {"A": (22.0, 0.5), "B": (1.0, 1.0)}
+    found = swept({name: [(1.0 + k, p) for k, p in enumerate(of)] for name, of in peaks.items()})
+    said = list(study_verdict(found))
+    assert (
+        said[0]
+        == "A and B settle in all 2 runs, after 1 s at omega = 1 rad/s and after 2 s at 10 rad/s."
+    )
+    assert said[1] == (
+        "A pays with a peak of |u| that is 11.2 times that of B (median at equal settings; 0.5 to "
+        "22)."
+    )
 
 
 def test_an_unfinished_study_says_so_first() -> None:

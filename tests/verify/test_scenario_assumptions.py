@@ -10,9 +10,16 @@ import pytest
 from congelation.errors import DesignWarning
 from congelation.export.build import build
 from congelation.scenario.load import load_scenario
+from congelation.sweep.engine import sweep
+from congelation.verify import scenario_assumptions
 from congelation.verify.certify import Verdict, certify_design, designs_of
-from congelation.verify.scenario_assumptions import case_assumptions
-from tests.scenarios import FMUS, SCALAR, write
+from congelation.verify.measure import judged
+from congelation.verify.scenario_assumptions import (
+    case_assumptions,
+    scenario_warnings,
+    sweep_warnings,
+)
+from tests.scenarios import FMUS, SCALAR, UNDRAWN, write
 
 OBSERVER = f"""
 title = "Output feedback"
@@ -35,6 +42,7 @@ stop_time = 1.0
 step = 0.01
 record = ["plant.y"]
 """
+AMPLITUDE = "plant.profile[1].square[1].amplitude"
 SPEC = """
 form = "scalar"
 [plant]
@@ -123,6 +131,83 @@ def test_a_broken_assumption_is_one_line_and_refused(tmp_path, change, line):
     found = certify_design(design, samples=10)
     assert found.verdict is Verdict.ASSUMPTION_BROKEN
     assert line in found.reasons
+
+
+AXES = """
+[[sweep.axes]]
+set = "controller.epsilon"
+values = [0.2, 0.3]
+[[sweep.axes]]
+set = "plant.profile.theta[1].square.amplitude"
+values = [0.2, 0.4, 0.9, 1.5]
+"""
+NARROW = ("epsilon = 0.3}", "epsilon = 0.3, delta = 0.4}")
+BROKEN_AT = (
+    "Controller 1, Controller 2: an assumption of the theorem is broken at 2 of 4 different points "
+    "of the sweep (plant.profile[1].square[1].amplitude = 0.9 or 1.5), at worst: controller.delta: "
+    "0.4 is less than 1.5, the radius of the box that theta(t) fills; give delta = 1.5, or narrow "
+    "the profile"
+)
+
+
+def test_points_of_a_sweep_that_leave_the_ball_are_counted(tmp_path):
+    """Of epsilon, which no assumption is about, different values are no different points."""
+    scenario = load_scenario(write(tmp_path, SCALAR + AXES, NARROW))
+    assert scenario_warnings(scenario) == ()
+    assert sweep_warnings(scenario) == (f"{scenario.place}: {BROKEN_AT}",)
+    allowed = load_scenario(write(tmp_path, SCALAR + AXES, NARROW, ("0.9, 1.5]", "0.1]")))
+    assert sweep_warnings(allowed) == ()
+
+
+def test_points_that_a_constraint_leaves_out_break_nothing(tmp_path):
+    limit = '[sweep]\nconstraints = ["plant.profile.theta[1].square.amplitude <= 0.4"]\n'
+    scenario = load_scenario(write(tmp_path, SCALAR + limit + AXES, NARROW))
+    assert sweep_warnings(scenario) == ()
+
+
+def test_of_a_million_points_the_extremes_are_looked_at(tmp_path, monkeypatch):
+    drawn = """
+[sweep]
+samples = 1000000
+[[sweep.axes]]
+set = "plant.profile.theta[1].square.amplitude"
+uniform = [0.1, 0.9]
+"""
+    looked_at = []
+
+    def counting(case):
+        looked_at.append(case)
+        return case_assumptions(case)
+
+    monkeypatch.setattr(scenario_assumptions, "case_assumptions", counting)
+    scenario = load_scenario(write(tmp_path, SCALAR + drawn, NARROW))
+    (line,) = sweep_warnings(scenario)
+    assert "broken at points of the sweep (plant.profile[1].square[1].amplitude = 0.9): " in line
+    assert len(looked_at) == 6  # of each variant itself, the least and the largest amplitude
+
+
+def test_a_run_that_leaves_the_ball_has_no_margin_that_says_that_the_certificate_holds(tmp_path):
+    """A margin that is a violation is kept."""
+    metric = ("[metrics]", '[metrics]\nmargin = {metric = "lyapunov"}')
+    axis = AXES.replace("0.2, 0.4, 0.9, 1.5", "0.4, 1.5").replace("0.2, 0.3", "0.3")
+    scenario = load_scenario(write(tmp_path, SCALAR + axis, NARROW, metric, UNDRAWN))
+    with pytest.warns(DesignWarning, match=re.escape("broken at 1 of 2 different points")):
+        results = sweep(scenario, out=tmp_path / "out")
+    within, outside = (
+        {r.variant: r for r in results.runs if r.settings[AMPLITUDE] == a} for a in (0.4, 1.5)
+    )
+    for variant in ("Controller 1", "Controller 2"):
+        assert within[variant].metrics["margin"] <= 1e-9
+        assert within[variant].remark == ""
+        assert outside[variant].metrics["margin"] is None
+        assert outside[variant].worst_margin is None
+        assert "No margin, as an assumption" in outside[variant].remark
+        assert "controller.delta: 0.4 is less than 1.5" in outside[variant].remark
+    case = scenario.case({AMPLITUDE: 1.5})
+    assert judged(scenario.metrics, case, {"peak_x": 1.0, "settling_x": 1.0, "margin": 0.1}) == (
+        {"peak_x": 1.0, "settling_x": 1.0, "margin": 0.1},
+        (),
+    )
 
 
 def test_theta_that_another_component_drives_cannot_be_known(tmp_path):
