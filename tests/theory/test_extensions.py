@@ -593,7 +593,7 @@ def test_output_feedback_needs_the_reference_in_the_law_of_rho_hat(monkeypatch, 
         regressor = -symbols.sign_b_m.symbol * design.alphabar_1
         return symbols.gamma.symbol * law.rate(regressor * symbols.z_1)
 
-    monkeypatch.setattr(output_feedback, "_rho_hat_rate", rate)
+    monkeypatch.setattr(output_feedback.OutputFeedbackDesign, "rho_hat_rate", property(rate))
     assert output_violated(random_output_loop(n + m, n, m, TRACKING))
 
 
