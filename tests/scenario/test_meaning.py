@@ -59,6 +59,12 @@ def test_start_values_are_given_in_any_unit_of_their_kind(
             "start.x0.unit = 'furlong' is not the unit of 'x0'; give",
         ),
         ('{value = true, unit = "degC"}', "start.x0.value = true is not valid; give a number"),
+        (
+            '[{value = 1, unit = "degC"}]',
+            "start.x0 has an element with a unit of its own; give each element by name, "
+            '"x0[1]" = {value = .., unit = ".."}, or one unit for all, '
+            'x0 = {value = [..], unit = ".."}',
+        ),
         ('{value = "1", unit = "degC"}', "start.x0.value = '1' is not valid; give a number"),
     ],
 )
