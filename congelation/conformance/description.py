@@ -230,7 +230,7 @@ def read_description(xml: bytes, parse: Any = ElementTree.fromstring) -> Descrip
     try:
         root = parse(xml)
     except SyntaxError as error:  # the base of the parsers' errors
-        raise Unreadable(f"modelDescription.xml is not well-formed: {error}") from error
+        raise Unreadable(f"modelDescription.xml is not well-formed: {error.msg}") from error
     if root.tag != "fmiModelDescription":
         raise Unreadable(f"the root element is <{root.tag}>, not <fmiModelDescription>")
     try:

@@ -21,6 +21,9 @@ __all__ = ["about"]
 
 _PACKAGES = ("fmpy", "pythonfmu", "numpy", "scipy", "pyarrow")
 
+_SIZES = ("mean", "amplitude", "deviation")
+"""The numbers of a profile that are values of what it is of."""
+
 
 def about(
     scenario: Scenario, varied: Sequence[str], axes: Sequence[Sequence[str]] = ()
@@ -131,7 +134,14 @@ def _unit_of_setting(name: str, descriptions: Mapping[str, Description]) -> str:
     component, _, variable = name.partition(".")
     if component == "experiment":
         return next((key.unit for key in EXPERIMENT.keys if key.name == variable), "")
-    found = descriptions[component].variables.get(variable) if component in descriptions else None
+    if component not in descriptions:
+        return ""
+    variables = descriptions[component].variables
+    # A profile is in the unit of what it is of, which its parameters do not declare.
+    for of, prefix in profile_prefixes(descriptions[component]).items():
+        if variable.startswith(prefix) and variable.rpartition(".")[2].endswith(_SIZES):
+            return variables[of].unit if of in variables else ""
+    found = variables.get(variable)
     return found.unit if found is not None else ""
 
 

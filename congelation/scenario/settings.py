@@ -246,8 +246,16 @@ def in_own_unit(
     InvalidInput
         A unit that measures something else, or that cannot be compared.
     """
-    if not isinstance(section.data[key], Mapping):
-        return section.data[key]
+    given = section.data[key]
+    if isinstance(given, list) and any(isinstance(element, Mapping) for element in given):
+        one = f'"{key}[1]" = {{value = .., unit = ".."}}'
+        raise section.error(
+            key,
+            f"has an element with a unit of its own; give each element by name, {one}, or one unit "
+            f'for all, {key} = {{value = [..], unit = ".."}}',
+        )
+    if not isinstance(given, Mapping):
+        return given
     quantity = section.section(key).only(("value", "unit")).require("value", "unit")
     unit = quantity.as_kind("unit", "text")
     named = list(named)

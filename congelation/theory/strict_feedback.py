@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -96,6 +97,7 @@ class Nonlinear:
 
     Its factors are those of Hadamard's lemma, phibar_{i,j} = int_0^1 (d phi_i/d x_j)(s x) ds, for
     which phi_i(x) = sum_j phibar_{i,j}(x) x_j: a factor for the recursion as constant ones are.
+    What the quadrature of the integral misses far from 0 is given back to them (`factors`).
 
     Parameters
     ----------
@@ -121,10 +123,30 @@ class Nonlinear:
         )
 
     def factors(self, x: ca.SX) -> tuple[ca.SX | ca.DM, ...]:
-        """[phibar_{i,1} .. phibar_{i,i}] for each i, by Gauss-Legendre quadrature."""
+        """[phibar_{i,1} .. phibar_{i,i}] for each i, for which phi_i = sum_j phibar_{i,j} x_j.
+
+        The quadrature q_{i,j} of `means` misses phi_i by e = phi_i - sum_j q_{i,j} x_j, which is
+        rounding for |x| <= 1 and grows without bound beyond, unless phi_i is a polynomial. With
+        q_{i,j} + e x_j / max(|x|^2, 1) nothing is missing where |x| >= 1, and the factor has a
+        kink of the size of rounding at |x| = 1. |x| is that of the x_j that are in phi_i.
+        """
+        factors: list[ca.SX | ca.DM] = []
+        for phi, mean in zip(self.at(x), self.means(x), strict=True):
+            own = x[: mean.shape[1]]
+            for k in range(phi.numel()):
+                if _degree(phi[k], x) <= 2 * self.nodes:
+                    continue  # the quadrature is exact
+                inside = ca.vertcat(*(v if ca.depends_on(phi[k], v) else 0 for v in own.nz))
+                missed = phi[k] - mean[k, :] @ own
+                mean[k, :] += missed / ca.fmax(ca.sumsqr(inside), 1) * inside.T
+            factors.append(mean)
+        return tuple(factors)
+
+    def means(self, x: ca.SX) -> list[ca.SX]:
+        """The integrals of Hadamard's lemma by Gauss-Legendre quadrature, shaped as `factors`."""
         _, p = self.orders
         nodes, weights = np.polynomial.legendre.leggauss(self.nodes)
-        factors: list[ca.SX | ca.DM] = []
+        means = []
         for i, phi in enumerate(self.at(x), start=1):
             slope = ca.jacobian(phi, x)[:, :i]
             function = ca.Function("slope", [x], [slope])
@@ -136,8 +158,8 @@ class Nonlinear:
                 for j in range(i):
                     if not ca.depends_on(slope[k, j], x):
                         mean[k, j] = slope[k, j]
-            factors.append(mean)
-        return tuple(factors)
+            means.append(mean)
+        return means
 
 
 Regressors = Linear | Nonlinear
@@ -189,24 +211,54 @@ def regressors_of(structure: ArrayLike | Regressors) -> Regressors:
 
 
 def hadamard_defect(regressors: Nonlinear) -> tuple[int, float]:
-    """The row i with the largest |phi_i - sum_j phibar_{i,j} x_j| / (1 + |phi_i|), and that ratio.
+    """The row i with the largest |phi_i - sum_j q_{i,j} x_j| / (1 + |phi_i|), and that ratio.
 
-    The largest at 200 random x with |x_j| <= `REACH`, nan where something is not finite.
+    q_{i,j} is the quadrature (`Nonlinear.means`). The largest at 200 random x with
+    |x_j| <= `REACH`, nan where something is not finite.
     """
     n, _ = regressors.orders
     x = ca.SX.sym("x", n)
-    phi = regressors.at(x)
-    factors = regressors.factors(x)
-    size = [ca.norm_inf(v) for v in phi]
     error = [
-        ca.norm_inf(v - factor @ x[: factor.shape[1]]) / (1 + s)
-        for v, factor, s in zip(phi, factors, size, strict=True)
+        ca.norm_inf(phi - mean @ x[: mean.shape[1]]) / (1 + ca.norm_inf(phi))
+        for phi, mean in zip(regressors.at(x), regressors.means(x), strict=True)
     ]
     function = ca.Function("defect", [x], [ca.vertcat(*error)])
     drawn = np.random.default_rng(0).uniform(-REACH, REACH, (200, n))
     found = np.array([np.asarray(function(row)).ravel() for row in drawn]).max(axis=0)
     worst = int(np.argmax(np.where(np.isfinite(found), found, np.inf)))
     return worst + 1, float(found[worst])
+
+
+def _degree(formula: ca.SX, x: ca.SX) -> float:
+    """The degree of a polynomial in x, or a bound of it; infinity for any other function."""
+    function = ca.Function("formula", [x], [formula])
+    degree, constant, found = dict[int, float](), dict[int, float](), 0.0
+    for k in range(function.n_instructions()):
+        operation, places = function.instruction_id(k), function.instruction_input(k)
+        of = [degree.get(place, 0.0) for place in places]
+        if operation == ca.OP_OUTPUT:
+            found = of[0]
+            continue
+        power = constant.get(places[-1], math.nan) if places else math.nan
+        (at,) = function.instruction_output(k)
+        constant.pop(at, None)  # places are used again
+        if operation == ca.OP_CONST:
+            degree[at], constant[at] = 0.0, function.instruction_constant(k)
+        elif operation == ca.OP_INPUT:
+            degree[at] = 1.0
+        elif operation in (ca.OP_ADD, ca.OP_SUB, ca.OP_NEG, ca.OP_TWICE):
+            degree[at] = max(of)
+        elif operation == ca.OP_MUL:
+            degree[at] = sum(of)
+        elif operation == ca.OP_SQ:
+            degree[at] = 2 * of[0]
+        elif operation == ca.OP_DIV and of[1] == 0:
+            degree[at] = of[0]
+        elif operation in (ca.OP_POW, ca.OP_CONSTPOW) and power in range(2 * NODES[-1]):
+            degree[at] = of[0] * power
+        else:
+            degree[at] = math.inf if any(of) else 0.0
+    return found
 
 
 def strict_feedback_plant(

@@ -15,7 +15,9 @@ from congelation.cosim import (
     compiled,
     simulate,
 )
+from congelation.cosim.coupling.hermite import HermiteStepper
 from congelation.errors import InvalidInput
+from congelation.fmi.slave import StepDiscarded
 from tests.scenarios import FMUS
 
 from .monolithic import order, solution
@@ -226,6 +228,29 @@ def test_a_step_that_an_fmu_discards_is_tried_shorter(fmus):
     assert result.completed
     assert result.statistics.rejected >= 1
     assert result.values[-1, 0] == pytest.approx(np.exp(-1.0), rel=1e-9)
+
+
+def test_no_step_is_kept_that_a_later_iteration_could_not_make(monkeypatch, loop):
+    """Where jumps pass, the shortest steps are kept whatever their error; this one is not made."""
+    iterated, last = HermiteStepper._iterated, []
+
+    def discarded(self, piece, points, time, end):
+        new = iterated(self, piece, points, time, end)
+        again = last == [(time, end)]
+        last[:] = [(time, end)]
+        if not time <= 0.37 < end:
+            return new
+        if again:
+            raise StepDiscarded("b", time, "the slave stays where it was")
+        return new + 1.0  # far from what was taken for it: another iteration follows
+
+    monkeypatch.setattr(compiled.library, "loaded", lambda: None)
+    monkeypatch.setattr(HermiteStepper, "_iterated", discarded)
+    coupling = Hermite(jumps="pass")
+    result = simulate(loop({"a": 1.0}), stop_time=1.0, tolerance=1e-6, coupling=coupling)
+    assert result.status is Status.SLAVE_FAILED
+    assert "stays where it was" in result.message
+    assert result.time[-1] <= 0.37
 
 
 def test_an_fmu_that_discards_every_step_ends_the_run(fmus):

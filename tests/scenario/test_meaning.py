@@ -59,6 +59,12 @@ def test_start_values_are_given_in_any_unit_of_their_kind(
             "start.x0.unit = 'furlong' is not the unit of 'x0'; give",
         ),
         ('{value = true, unit = "degC"}', "start.x0.value = true is not valid; give a number"),
+        (
+            '[{value = 1, unit = "degC"}]',
+            "start.x0 has an element with a unit of its own; give each element by name, "
+            '"x0[1]" = {value = .., unit = ".."}, or one unit for all, '
+            'x0 = {value = [..], unit = ".."}',
+        ),
         ('{value = "1", unit = "degC"}', "start.x0.value = '1' is not valid; give a number"),
     ],
 )
@@ -366,3 +372,11 @@ def test_a_term_that_the_fmu_has_by_default_is_no_doubt(tmp_path: Path) -> None:
         "[experiment]\nstop_time = 1.0\nstep = 0.1\n" + axis
     )
     assert load_scenario(file).warnings == ()
+
+
+def test_sizes_of_a_profile_are_in_the_unit_of_theta(tmp_path: Path) -> None:
+    scenario = load_scenario(scenario_with(tmp_path, {"theta[1]": "1/s"}))
+    prefix = "plant.profile[1]"
+    varied = [f"{prefix}.{name}" for name in ("mean", "square[1].amplitude", "square[1].period")]
+    units = about(scenario, [*varied, f"{prefix}.telegraph[1].seed"])["units"]
+    assert units == dict(zip(varied, ("1/s", "1/s", "s"), strict=True))

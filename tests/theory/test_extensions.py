@@ -6,6 +6,7 @@ is left out.
 """
 
 import dataclasses
+import math
 import tomllib
 
 import casadi as ca
@@ -32,6 +33,7 @@ from congelation.theory.strict_feedback import (
     regressors_of,
     strict_feedback_plant,
 )
+from congelation.verify.certify import certificate_of, certify, designs_of
 from tests.scenarios import ROOT
 
 from .systems import (
@@ -591,7 +593,7 @@ def test_output_feedback_needs_the_reference_in_the_law_of_rho_hat(monkeypatch, 
         regressor = -symbols.sign_b_m.symbol * design.alphabar_1
         return symbols.gamma.symbol * law.rate(regressor * symbols.z_1)
 
-    monkeypatch.setattr(output_feedback, "_rho_hat_rate", rate)
+    monkeypatch.setattr(output_feedback.OutputFeedbackDesign, "rho_hat_rate", property(rate))
     assert output_violated(random_output_loop(n + m, n, m, TRACKING))
 
 
@@ -643,6 +645,85 @@ def test_hadamard_factors_are_exact_for_polynomials():
     assert float(value) == pytest.approx(1.7**2 - 2)
     assert regressors_of(SMOOTH).nodes > 2
     assert hadamard_defect(regressors_of(SMOOTH))[1] < 1e-9
+
+
+def test_hadamard_factors_are_exact_far_from_0_and_smooth_at_0():
+    regressors = regressors_of(SMOOTH)
+    x = ca.SX.sym("x", 3)
+    factors = [ca.densify(factor) for factor in regressors.factors(x)]
+    function = ca.Function("f", [x], factors)
+    rng = np.random.default_rng(0)
+    for size in (1e-3, 0.3, 1, 3, 30, 1000) * 5:
+        x_1, x_2, x_3 = at = size * rng.normal(size=3)
+        expected = (
+            (math.sin(x_1), x_1),
+            (x_2 * math.exp(-(x_1**2) / 4), x_1 * x_2),
+            (x_3 * math.cos(x_1), math.sin(x_2) + x_3**2),
+        )
+        for i, (phi, factor) in enumerate(zip(expected, function(at), strict=True), start=1):
+            found = np.asarray(factor) @ at[:i]
+            assert found == pytest.approx(phi, rel=1e-12, abs=1e-13 * max(size, 1))
+    assert float(function(np.array([-31.74, 1, 1]))[0][0, 0]) == pytest.approx(
+        math.sin(31.74) / 31.74, rel=1e-12
+    )
+    second = ca.jacobian(ca.jacobian(ca.vertcat(*map(ca.vec, factors)), x), x)
+    assert np.isfinite(np.asarray(ca.Function("f", [x], [second])(np.zeros(3)))).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "x", "factor"),
+    [
+        ("x[1]**5 + sin(x[1]) - x[1]/3", 30.0, 30.0**4 + math.sin(30.0) / 30 - 1 / 3),
+        ("(3*x[1] - x[1]**2)**2*x[1]/pi", 1e4, (3e4 - 1e8) ** 2 / math.pi),
+        ("tanh(x[1]/1000)", 1e5, math.tanh(100.0) / 1e5),
+        ("exp(x[1]) - 1", -600.0, math.expm1(-600.0) / -600),
+        ("x[1]/(4 + x[1]**2)", 1e3, 1 / (4 + 1e6)),
+    ],
+)
+def test_a_factor_of_one_state_is_the_quotient(text, x, factor):
+    regressors = regressors_of(Nonlinear(((text,),)))
+    symbol = ca.SX.sym("x", 1)
+    formula = regressors.factors(symbol)[0]
+    assert float(ca.Function("f", [symbol], [formula])(x)) == pytest.approx(factor, rel=1e-11)
+    # What is exact by itself is not made longer.
+    corrected = formula.n_dep() > 0 and "fmax" in str(formula)
+    assert corrected == any(name in text for name in ("sin", "tanh", "exp", "(4"))
+
+
+FAR_FROM_0 = {  # x, theta_hat, rho_hat, then ell: found by seeds 0 and 4 where quadrature is used
+    "x_1 = 11": ((10.656, -23.854, -19080.4, 1080.97, 3.82e-8), (-0.0715, 0.1209, 2.994)),
+    "x_1 = 26": ((26.4596, -60.0316, -10020.8, 129.163, 1.23e-3), (-1.0856, -0.4984, 7.607)),
+    "x_1 = -32": ((-31.7443, 72.1369, 8008.36, 1869.93, 2.2e-7), (0.1823, -0.1173, 0.5112)),
+}
+
+
+@pytest.mark.parametrize(("state", "ell"), FAR_FROM_0.values(), ids=FAR_FROM_0)
+def test_the_pendulum_of_varying_length_keeps_its_promise_far_from_0(state, ell):
+    """V' of specs/pendulum_length.toml by hand, where sin(x_1)/x_1 is the factor of phi_2."""
+    (design,) = designs_of(ROOT / "specs" / "pendulum_length.toml")
+    found = certificate_of(design.loop).at(state, ell)
+    (x_1, x_2, *theta_hat, rho_hat), delta = state, 1.06
+    theta = np.array(ell) + found.Delta
+    assert np.hypot(*found.Delta[:2]) == pytest.approx(delta)
+    a = 1 + delta**2 / 2  # alpha_1 = -a x_1
+    z_1, z_2 = x_1, x_2 + a * x_1
+    phi, ratio = np.array([math.sin(x_1), x_2]), math.sin(x_1) / x_1
+    f_1 = -1 + a**2 - theta_hat[0] * ratio + theta_hat[1] * a
+    f_2 = -1 - a - theta_hat[1] - (ratio**2 + a**2 + 1 + delta**2) / 2
+    kappa = math.sqrt(1 + f_2**2) + f_1**2 / 2
+    x_2_rate = phi @ theta[:2] - theta[2] * rho_hat * kappa * z_2
+    rate = z_1 * x_2 + z_2 * (x_2_rate + a * x_2) - z_2 * phi @ (np.array(ell[:2]) - theta_hat)
+    rate -= abs(ell[2]) * (1 / ell[2] - rho_hat) * kappa * z_2**2
+    assert found.rate == pytest.approx(rate, rel=1e-9)
+    assert found.claimed == pytest.approx(z_1**2 / 2 + z_2**2)
+    assert found.relative < -1e-8
+    assert not found.violated
+
+
+@pytest.mark.parametrize("seed", [0, 4])
+def test_no_seed_violates_the_pendulum_of_varying_length(seed):
+    (found,) = certify(ROOT / "specs" / "pendulum_length.toml", samples=30, seed=seed)
+    assert found.holds
 
 
 def test_linear_formulas_are_the_linear_plant():

@@ -32,7 +32,8 @@ def encoding(subject: Subject) -> Iterator[str | Breach]:
 
     Why: Strings go from the XML to the C functions unchanged.
 
-    Remedy: Start the file with <?xml version="1.0" encoding="UTF-8"?>
+    Remedy: Start the file with <?xml version="1.0" encoding="UTF-8"?>; if it is not well-formed,
+    mend the line that is named, or write the file anew: one that was cut off has no end tag
 
     Example: encoding="ISO-8859-1".
     """
@@ -46,7 +47,7 @@ def encoding(subject: Subject) -> Iterator[str | Breach]:
     try:
         etree.fromstring(subject.xml)
     except etree.XMLSyntaxError as error:
-        yield Breach(f"not well-formed: {error}", error.lineno, DESCRIPTION)
+        yield Breach(f"not well-formed: {error.msg}", error.lineno, DESCRIPTION)
 
 
 @cache

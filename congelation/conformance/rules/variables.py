@@ -46,7 +46,8 @@ def names(subject: Subject) -> Iterator[Breach]:
 
     Why: Variables are connected by name.
 
-    Remedy: Rename the variable, or declare the convention "flat"
+    Remedy: Rename the variable; a name that is unique and no structured one may stay if the
+    convention is declared to be "flat"
 
     Example: Two variables named y.
     """

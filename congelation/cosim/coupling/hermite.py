@@ -314,8 +314,10 @@ class HermiteStepper(AdaptiveStepper[HermiteState]):
                 new = self._iterated(piece, state.points, time, end)
             except StepDiscarded:
                 # Not by the step itself, which the first iteration could make, but by where later
-                # ones have led.
-                if z_before is None or r_before is None:
+                # ones have led. Where a step may be kept whatever its error, it must at least have
+                # been made by all: the components are at different times now.
+                may_be_kept = self.keeps and self._tolerance is not None
+                if z_before is None or r_before is None or may_be_kept:
                     raise
                 return Trial(state, math.inf, LOW, feedback.worst(r_before))
             g = new.reshape(-1).take(feedback.found)
