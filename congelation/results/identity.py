@@ -12,7 +12,7 @@ import congelation
 
 __all__ = ["NUMERICS_VERSION", "code_version", "content_hash", "file_hash", "text_of"]
 
-NUMERICS_VERSION = 7
+NUMERICS_VERSION = 8
 """Part of the identity of a run: raise it whenever equal inputs give other numbers than before.
 
 The digest of the sources is no part of it, as most changes of the sources change no number.

@@ -76,17 +76,19 @@ def bounces(t):
     return x
 
 
-@pytest.mark.parametrize("coupling", ["auto", "derivative", "hermite"])
+RELAY = (4.0, ("s.s -> i.u", "i.x -> s.u"), "i.x", triangle, 2.9)
+BALL = (5.0, ("s.x -> i.u",), "s.x", bounces, 1.9)
+
+
 @pytest.mark.parametrize("order", ["si", "is"])
 @pytest.mark.parametrize(
-    ("fault", "links", "judged", "exact", "T"),
-    [
-        (4.0, ("s.s -> i.u", "i.x -> s.u"), "i.x", triangle, 2.9),
-        (5.0, ("s.x -> i.u",), "s.x", bounces, 1.9),
-    ],
+    ("fault", "links", "judged", "exact", "T", "coupling"),
+    # Iterations of `hermite` do not settle where a relay in a loop switches.
+    [(*RELAY, name) for name in ("auto", "derivative")]
+    + [(*BALL, name) for name in ("auto", "derivative", "hermite")],
 )
 def test_jumps_that_an_fmu_makes_when_its_next_step_begins_are_located(
-    fmu, coupling, order, fault, links, judged, exact, T, monkeypatch
+    fmu, order, fault, links, judged, exact, T, coupling, monkeypatch
 ):
     """Of a value, and of a slope; in whatever order the components stand."""
     both = system(fmu, *links, s={"fault": fault})
@@ -100,8 +102,6 @@ def test_jumps_that_an_fmu_makes_when_its_next_step_begins_are_located(
     again = simulate(connected, **wanted)
     assert again.time.tolist() == result.time.tolist()
     assert again.values.tolist() == result.values.tolist()
-    if coupling == "hermite" and fault == 4.0:
-        return  # whose iterations do not converge at fixed steps over such a jump
     bands = simulate(connected, trust=True, **wanted).column(f"error({judged})")
     assert bands.max() >= off.max()
 
