@@ -266,7 +266,8 @@ def outcome_of(
         return Outcome.BISECT
     if tried.error <= 1.0:
         return Outcome.ACCEPTED
-    if rules.keeps and (not rules.takes_back or tried.length <= rules.shortest):
+    is_short = tried.length <= rules.shortest and math.isfinite(tried.error)
+    if rules.keeps and (is_short or not rules.takes_back):
         waits = tried.exceeds(JUMPED * rules.tolerance) and not rules.takes_back and late < LATE
         return Outcome.LATE if waits else Outcome.KEPT
     if (

@@ -61,6 +61,8 @@ HALVES = changed(halves=True)
         (tried(50.0), PASSES, 0, None, Outcome.SHORTEN),
         (tried(50.0, 1.01e-4), PASSES, 0, None, Outcome.SHORTEN),
         (tried(50.0, 0.99e-4), PASSES, 0, None, Outcome.KEPT),
+        # But not where iterations did not settle: nothing is known of the end.
+        (tried(math.inf, 0.99e-4), PASSES, 0, None, Outcome.SHORTEN),
         (tried(50.0, 0.99e-4), PLAIN, 0, None, Outcome.SHORTEN),
         # A quarter of the length and nearly the error of before: it comes from the FMUs.
         (tried(2.0, 0.025, found=9e-5), HALVES, 0, (0.1, 1e-4), Outcome.FLOOR),
