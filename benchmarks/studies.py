@@ -103,10 +103,10 @@ def _timed_stepping() -> Iterator[list[float]]:
     spent: list[float] = []
     inner = master.run_adaptive
 
-    def timed(*arguments: Any) -> None:
+    def timed(*arguments: Any, **named: Any) -> None:
         begin = process_time()
         try:
-            inner(*arguments)
+            inner(*arguments, **named)
         finally:
             spent.append(process_time() - begin)
 

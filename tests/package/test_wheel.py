@@ -108,6 +108,6 @@ def test_a_plant_of_ones_own(installed: Installed) -> None:
     for line in installed.run("congelation", "new", "wing_flap").splitlines():
         installed.run(*line.split())
     run = installed.run
-    assert (installed.folder / "results" / "scenario" / "runs.parquet").is_file()
+    assert (installed.folder / "results" / "wing_flap" / "runs.parquet").is_file()
     swept = run("congelation", "sweep", "wing_flap/scenario.toml", "--out", "swept")
     assert "12 runs" in swept
