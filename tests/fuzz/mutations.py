@@ -176,7 +176,8 @@ KEYS = (
         "a metric's option without its value",
         _to("below = 0.1", lambda r: f'below = {{{word(r)} = 0.1, unit = "1"}}'),
         2,
-        r"metrics\.settling_x\.below\.\w+ is not known here; (valid: value, unit|did you mean .(value|unit)..)",
+        r"metrics\.settling_x\.below\.\w+ is not known here; "
+        r"(valid: value, unit|did you mean .(value|unit)..)",
     ),
     Mutation(
         "a name of a file that is too long",
