@@ -199,7 +199,7 @@ def certify(
 
 
 HEADS = ("worst margin", "relative margin", "delta", "radius of theta")
-"""What is told of a design besides its verdict."""
+"""What is said of a design besides its verdict."""
 
 
 def _tell(found: Sequence[Certification], place: str, *, json: bool) -> None:

@@ -116,13 +116,13 @@ def chosen(system: System, experiment: Experiment, pool: SlavePool | None = None
             if trial.lack is None:
                 break
             lacks += (trial.lack,)
-    told = [f"auto: {label(trial.coupling)}, as {trial.why}", *map(str, lacks)]
+    parts = [f"auto: {label(trial.coupling)}, as {trial.why}", *map(str, lacks)]
     if stepped.tolerance != experiment.tolerance:
-        told.append(f"steps of {stepped.step:g} s, as not all FMUs take others")
+        parts.append(f"steps of {stepped.step:g} s, as not all FMUs take others")
     passes = math.ceil(steps / max(len(resolved.members), 1))
     unkept = experiment.tolerance if stepped.tolerance is None else None
     to_run = replace(stepped, coupling=trial.coupling)
-    return Choice(to_run, lacks, "; ".join(told), unkept, passes, calls)
+    return Choice(to_run, lacks, "; ".join(parts), unkept, passes, calls)
 
 
 def _with_step(system: ResolvedSystem, experiment: Experiment) -> Experiment:

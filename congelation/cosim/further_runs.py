@@ -62,11 +62,11 @@ def observed(
     here = ~np.isnan(coarse).any(axis=1)
     change = np.abs(coarse[here] - again.values[here]).max(axis=0)
     before = difference[here].max(axis=0)
-    told = smooth & (np.minimum(change, before) > floor)
-    order[told] = np.minimum(np.log2(change[told] / before[told]), expected)
+    observable = smooth & (np.minimum(change, before) > floor)
+    order[observable] = np.minimum(np.log2(change[observable] / before[observable]), expected)
     notes = []
-    if told.any():
-        k = int(np.argmin(np.where(told, order, np.inf)))
+    if observable.any():
+        k = int(np.argmin(np.where(observable, order, np.inf)))
         if order[k] < 0.0:
             notes.append(
                 Note(

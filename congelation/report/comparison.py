@@ -199,11 +199,11 @@ def verdict(comparison: Comparison) -> Iterator[str]:
         size, name, pair = max(changes, key=lambda entry: entry[0])
         a, b = pair.before.metrics.get(name), pair.after.metrics.get(name)
         was, now = (metric_value(v, comparison.metrics[name]) for v in (a, b))
-        told = [f"{was} before, {now} now"] if was != now else []
-        told += [f"({percent(relative_change(a, b))})"] if math.isfinite(size) else []
+        words = [f"{was} before, {now} now"] if was != now else []
+        words += [f"({percent(relative_change(a, b))})"] if math.isfinite(size) else []
         yield (
             f"{len(changes)} of {count * len(comparison.metrics)} metrics differ, most of all "
-            f"{name} of {pair.label}: {' '.join(told)}."
+            f"{name} of {pair.label}: {' '.join(words)}."
         )
 
 

@@ -383,7 +383,7 @@ class Store:
             try:
                 yield connection
             except sqlite3.Error as error:
-                raise InvalidInput(self._told(error, "read")) from error
+                raise InvalidInput(self._worded(error, "read")) from error
 
     def _reader(self) -> sqlite3.Connection:
         self._refuse_old()
@@ -400,7 +400,7 @@ class Store:
                 connection.close()
                 raise
         except sqlite3.Error as error:
-            raise InvalidInput(self._told(error, "read")) from error
+            raise InvalidInput(self._worded(error, "read")) from error
         return connection
 
     def _refuse_foreign(self, connection: sqlite3.Connection) -> None:
@@ -415,7 +415,7 @@ class Store:
                 f"that this one does not read; {ANEW}"
             )
 
-    def _told(self, error: sqlite3.Error, done: str) -> str:
+    def _worded(self, error: sqlite3.Error, done: str) -> str:
         """What an error of SQLite is to a user, and what is to be done."""
         code = getattr(error, "sqlite_errorcode", None)
         if code == sqlite3.SQLITE_NOTADB:
@@ -456,7 +456,7 @@ class Store:
         try:
             yield
         except sqlite3.Error as error:
-            raise StoreError(self._told(error, "written")) from error
+            raise StoreError(self._worded(error, "written")) from error
 
 
 @dataclass(frozen=True)
