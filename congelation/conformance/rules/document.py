@@ -7,6 +7,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
 from functools import cache
 from importlib.resources import as_file, files
+from threading import Lock
 
 from lxml import etree
 
@@ -50,6 +51,10 @@ def encoding(subject: Subject) -> Iterator[str | Breach]:
         yield Breach(f"not well-formed: {error.msg}", error.lineno, DESCRIPTION)
 
 
+# FMUs are checked in threads, and a schema keeps the errors of its last validation alone.
+_VALIDATING = Lock()
+
+
 @cache
 def _schema() -> etree.XMLSchema:
     with as_file(files("fmpy") / "schema" / "fmi2") as folder:
@@ -69,9 +74,10 @@ def schema(subject: Subject) -> Iterator[str | Breach]:
     Example: An attribute that the schema does not know.
     """
     document, checker = subject.root, _schema()
-    if not checker.validate(document):
-        for error in checker.error_log:
-            yield Breach(error.message, error.line, DESCRIPTION)
+    with _VALIDATING:
+        errors = [] if checker.validate(document) else list(checker.error_log)
+    for error in errors:
+        yield Breach(error.message, error.line, DESCRIPTION)
 
 
 @static("FMI2-XML-03", "2.2", Level.VIOLATION)

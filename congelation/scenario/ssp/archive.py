@@ -163,7 +163,7 @@ def parse(data: bytes, schema: str, place: str) -> etree._Element:
         )
     if not version.startswith("1."):
         raise InvalidInput(f"{place}: of SSP {version or 'no version'}; SSP 1.0 is needed")
-    validator = _schema(schema)
+    validator = etree.XMLSchema(_schema(schema))  # which keeps errors, so that each thread has one
     if not validator.validate(root):
         first = validator.error_log[0]
         message = re.sub(
@@ -174,5 +174,5 @@ def parse(data: bytes, schema: str, place: str) -> etree._Element:
 
 
 @cache
-def _schema(name: str) -> etree.XMLSchema:
-    return etree.XMLSchema(file=Path(fmpy.__file__).parent / "ssp" / "schema" / f"{name}.xsd")
+def _schema(name: str) -> etree._ElementTree:
+    return etree.parse(Path(fmpy.__file__).parent / "ssp" / "schema" / f"{name}.xsd")
