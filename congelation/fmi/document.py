@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import zipfile
+from functools import cache
 from pathlib import Path
+from threading import Lock
 
 import fmpy
 from lxml import etree
@@ -11,7 +13,11 @@ from lxml import etree
 from congelation.errors import InvalidInput
 from congelation.fmi.unpack import DAMAGED, check_archive, parse_xml, require_no_other_kind
 
-__all__ = ["check_references", "read_document", "schema_error"]
+__all__ = ["FMI2_SCHEMA", "check_references", "read_document", "schema_error", "schema_errors"]
+
+FMI2_SCHEMA = Path(fmpy.__file__).parent / "schema" / "fmi2" / "fmi2ModelDescription.xsd"
+
+_ONE_AT_A_TIME = Lock()
 
 LARGEST_REFERENCE = 2**32 - 1
 """Value references are unsigned numbers of 32 bits."""
@@ -94,8 +100,21 @@ def check_references(root: etree._Element) -> None:
 
 def schema_error(root: etree._Element) -> str:
     """The first thing in a model description that the schema of FMI 2.0 does not allow."""
-    folder = Path(fmpy.__file__).parent / "schema" / "fmi2"
-    schema = etree.XMLSchema(file=folder / "fmi2ModelDescription.xsd")
-    if schema.validate(root):
-        return ""
-    return f"line {schema.error_log[0].line}: {schema.error_log[0].message}"
+    errors = schema_errors(FMI2_SCHEMA, root)
+    return f"line {errors[0].line}: {errors[0].message}" if errors else ""
+
+
+def schema_errors(schema: Path, root: etree._Element) -> list[etree._LogEntry]:
+    """What a schema, a file, does not allow in a document, in the order of its lines.
+
+    libxml2 reads one schema at a time, and keeps the errors of the last document alone; files are
+    looked at in threads.
+    """
+    with _ONE_AT_A_TIME:
+        known = _read_schema(schema)
+        return [] if known.validate(root) else list(known.error_log)
+
+
+@cache
+def _read_schema(schema: Path) -> etree.XMLSchema:
+    return etree.XMLSchema(file=schema)

@@ -7,6 +7,7 @@ import re
 import xml.etree.ElementTree as ElementTree
 import zipfile
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -162,6 +163,20 @@ def test_unpacked_fmu_is_checked(correct: Path, tmp_path: Path) -> None:
     assert report.findings == ()
     assert "(unpacked)" in report.fmus[0].scope
     assert report.fmus[0].count(Outcome.PASS) == 21
+
+
+def test_schema_errors_of_files_checked_at_once_are_not_mixed(tmp_path: Path) -> None:
+    rule = BY_ID["FMI2-XML-02"]
+    assert isinstance(rule, StaticRule)
+    look, names = rule.look, ["colour", "shape", "taste", "weight"] * 100
+
+    def found(name: str) -> list[str]:
+        xml = f'<fmiModelDescription fmiVersion="2.0" modelName="m" guid="g" {name}="red"/>'
+        subject = Subject(tmp_path / "m.fmu", (), "", xml.encode())
+        return [str(breach) for breach in look(subject) if name in str(breach)]
+
+    with ThreadPoolExecutor(4) as pool:
+        assert all(pool.map(found, names))
 
 
 def test_static_starts_no_process(

@@ -5,14 +5,12 @@ from __future__ import annotations
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
-from functools import cache
-from importlib.resources import as_file, files
-from threading import Lock
 
 from lxml import etree
 
 from congelation.conformance.rule import Breach, Level, NotApplicable, require, static
 from congelation.conformance.subject import DESCRIPTION, Subject
+from congelation.fmi.document import FMI2_SCHEMA, schema_errors
 
 __all__: list[str] = []
 
@@ -51,16 +49,6 @@ def encoding(subject: Subject) -> Iterator[str | Breach]:
         yield Breach(f"not well-formed: {error.msg}", error.lineno, DESCRIPTION)
 
 
-# FMUs are checked in threads, and a schema keeps the errors of its last validation alone.
-_VALIDATING = Lock()
-
-
-@cache
-def _schema() -> etree.XMLSchema:
-    with as_file(files("fmpy") / "schema" / "fmi2") as folder:
-        return etree.XMLSchema(etree.parse(str(folder / "fmi2ModelDescription.xsd")))
-
-
 @static("FMI2-XML-02", "2.2", Level.VIOLATION)
 def schema(subject: Subject) -> Iterator[str | Breach]:
     """modelDescription.xml is valid by the schema fmi2ModelDescription.xsd.
@@ -73,10 +61,7 @@ def schema(subject: Subject) -> Iterator[str | Breach]:
 
     Example: An attribute that the schema does not know.
     """
-    document, checker = subject.root, _schema()
-    with _VALIDATING:
-        errors = [] if checker.validate(document) else list(checker.error_log)
-    for error in errors:
+    for error in schema_errors(FMI2_SCHEMA, subject.root):
         yield Breach(error.message, error.line, DESCRIPTION)
 
 

@@ -9,7 +9,6 @@ import shutil
 import tempfile
 import zipfile
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from urllib.parse import unquote
 
@@ -17,6 +16,7 @@ import fmpy
 from lxml import etree
 
 from congelation.errors import InvalidInput
+from congelation.fmi.document import schema_errors
 from congelation.fmi.unpack import parse_xml, unpack_archive
 
 __all__ = [
@@ -44,6 +44,7 @@ PARAMETERS = "SystemStructureParameterValues"
 ANNOTATION = "congelation"
 """Type of the annotation for what SSP has no place for: coupling, step, metrics, figures."""
 
+_SCHEMAS = Path(fmpy.__file__).parent / "ssp" / "schema"
 _SSP = "http://ssp-standard.org/SSP1/"
 NAMESPACES = {
     "ssd": _SSP + DESCRIPTION,
@@ -163,16 +164,11 @@ def parse(data: bytes, schema: str, place: str) -> etree._Element:
         )
     if not version.startswith("1."):
         raise InvalidInput(f"{place}: of SSP {version or 'no version'}; SSP 1.0 is needed")
-    validator = etree.XMLSchema(_schema(schema))  # which keeps errors, so that each thread has one
-    if not validator.validate(root):
-        first = validator.error_log[0]
+    errors = schema_errors(_SCHEMAS / f"{schema}.xsd", root)
+    if errors:
+        first = errors[0]
         message = re.sub(
             r"\{[^}]*\}", "", first.message
         )  # namespaces, which files do not spell out
         raise InvalidInput(f"{place}, line {first.line}: {message}")
     return root
-
-
-@cache
-def _schema(name: str) -> etree._ElementTree:
-    return etree.parse(Path(fmpy.__file__).parent / "ssp" / "schema" / f"{name}.xsd")
