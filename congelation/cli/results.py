@@ -286,7 +286,7 @@ def _print_rows(rows: Sequence[Mapping[str, object]], metrics: Mapping[str, Any]
         print("no runs")
         return
     names = dict.fromkeys(name for row in rows for name, value in row.items() if value is not None)
-    # Runs of several studies, such as those of an earlier state of the scenario, are told apart.
+    # Of several studies, such as an earlier state of the scenario, each run names its own.
     several = len({row["study"] for row in rows}) > 1
     first = [
         name

@@ -67,11 +67,11 @@ DELAYED = 10.0
 """A jump right at the start of a step comes from what happened in the one before, and was delayed
 by it, where that one is more than so many times as long as the shortest."""
 
-UNSEEN = 0.1
-"""Error, in tolerances, below which a step does not show what a jump in it does."""
-
 AT_ONCE = 1e-2
 """And it is right at the start where so much of the shortest step has it."""
+
+UNSEEN = 0.1
+"""Error, in tolerances, below which a step does not show what a jump in it does."""
 
 MOST_IN_A_ROW = 8
 """Located changes in so many steps, one right after the other, from which on they are not located:
@@ -506,11 +506,10 @@ def take(
             raise JumpDelayed
         session.kept += outcome is Outcome.ACCEPTED
     if rules.halves:
-        jumps = run.halving.jump > JUMPED * rules.tolerance
+        jumps = rules.delays and run.halving.jump > JUMPED * rules.tolerance
+        run.halving = run.halving.accepted(ensemble.Y[ensemble.judged])
     else:
         jumps = run.looks_ahead and jumped(session, run.coupling, tried.length, rules.tolerance)
-    if rules.halves:
-        run.halving = run.halving.accepted(ensemble.Y[ensemble.judged])
     # Right after a jump that was located, no slope is known, and the step says nothing of others.
     known = not run.looks_ahead or len(stepper.points(run.coupling).times) > 1
     if rules.predicts and known:

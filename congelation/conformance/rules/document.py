@@ -32,7 +32,7 @@ def encoding(subject: Subject) -> Iterator[str | Breach]:
     Why: Strings go from the XML to the C functions unchanged.
 
     Remedy: Start the file with <?xml version="1.0" encoding="UTF-8"?>; if it is not well-formed,
-    mend the line that is named, or write the file anew: one that was cut off has no end tag
+    mend the line that is named, or write the file anew: an incomplete one has no end tag
 
     Example: encoding="ISO-8859-1".
     """
